@@ -1,0 +1,34 @@
+//! Register cross-source point clouds without targets and without an initial guess.
+//!
+//! Modules are listed the way the data goes.
+
+// Floor 0: words.
+pub mod cloud;
+pub mod error;
+pub(crate) mod parallel;
+pub mod progress;
+pub mod random;
+pub mod rigid;
+
+// Floor 1: tools.
+pub mod distance_field;
+pub mod kabsch;
+pub mod neighbors;
+pub mod normals;
+pub mod optim;
+pub mod spacing;
+
+// Floor 2: stages, in the order of the data.
+pub mod coarse;
+pub mod evaluate;
+pub mod fitness;
+pub mod fuse;
+pub mod icp;
+pub mod keypoints;
+pub mod outlier;
+pub mod verdict;
+pub mod voxel;
+
+pub use cloud::{Cloud, Point};
+pub use error::{Error, Result};
+pub use rigid::Rigid;

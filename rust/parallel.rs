@@ -1,0 +1,93 @@
+//! Order-kept parallelism. The only file that names rayon.
+//!
+//! Why: a parallel sum in whatever order the threads finish gives different last bits from run to
+//! run. Here work is cut into fixed chunks, chunks are computed in parallel, and results are joined
+//! in the order of the chunks: the same bits at any number of threads.
+
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+
+/// Points per chunk: large enough to drown the cost of a task, small enough to cancel quickly.
+pub(crate) const CHUNK: usize = 2048;
+
+/// `f` of every index below `n`, in order.
+pub(crate) fn map<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    (0..n).into_par_iter().map(f).collect()
+}
+
+/// `f` of every index below `n`, in order, in chunks of [`CHUNK`], giving up between chunks once
+/// the caller wants to stop.
+pub(crate) fn map_cheap<T: Send>(
+    n: usize,
+    progress: &Progress<'_>,
+    f: impl Fn(usize) -> T + Sync + Send,
+) -> Result<Vec<T>> {
+    let chunks = chunks(n, progress, |range| range.map(&f).collect::<Vec<T>>())?;
+    Ok(chunks.into_iter().flatten().collect())
+}
+
+/// One result per chunk of [`CHUNK`] indices below `n`, in order.
+pub(crate) fn chunks<T: Send>(
+    n: usize,
+    progress: &Progress<'_>,
+    f: impl Fn(std::ops::Range<usize>) -> T + Sync + Send,
+) -> Result<Vec<T>> {
+    (0..n.div_ceil(CHUNK))
+        .into_par_iter()
+        .map(|chunk| {
+            progress.check()?;
+            Ok(f(chunk * CHUNK..((chunk + 1) * CHUNK).min(n)))
+        })
+        .collect()
+}
+
+/// Runs `work` with `n_threads` threads; `None` takes the machine's (or `RAYON_NUM_THREADS`).
+///
+/// # Errors
+/// [`Error::InvalidArgument`] where the threads cannot be started.
+pub(crate) fn with_threads<T: Send>(
+    n_threads: Option<usize>,
+    work: impl FnOnce() -> Result<T> + Send,
+) -> Result<T> {
+    match n_threads {
+        None => work(),
+        Some(n) => rayon::ThreadPoolBuilder::new()
+            .num_threads(n)
+            .build()
+            .map_err(|e| Error::argument("threads", format!("= {n} cannot be started: {e}")))?
+            .install(work),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sum_over_chunks_has_the_same_bits_at_any_number_of_threads() {
+        let sum = |n_threads| {
+            with_threads(Some(n_threads), || {
+                let partial = chunks(100_000, &Progress::silent(), |range| {
+                    range.map(|i| (i as f64).sin() * 1e10).sum::<f64>()
+                })?;
+                Ok(partial.iter().sum::<f64>())
+            })
+            .unwrap()
+        };
+        assert_eq!(sum(1).to_bits(), sum(2).to_bits());
+        assert_eq!(sum(1).to_bits(), sum(4).to_bits());
+    }
+
+    #[test]
+    fn order_is_kept_and_a_stop_is_obeyed() {
+        let doubled = map_cheap(5000, &Progress::silent(), |i| 2 * i).unwrap();
+        assert!(doubled.iter().enumerate().all(|(i, v)| *v == 2 * i));
+        let stop = |_: &crate::progress::Event| std::ops::ControlFlow::Break(());
+        assert_eq!(
+            map_cheap(5000, &Progress::new(&stop), |i| i),
+            Err(Error::Cancelled)
+        );
+    }
+}
