@@ -16,6 +16,7 @@ pub mod kabsch;
 pub mod neighbors;
 pub mod normals;
 pub mod optim;
+pub mod point_to_plane;
 pub mod spacing;
 
 // Floor 2: stages, in the order of the data.

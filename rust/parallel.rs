@@ -43,6 +43,25 @@ pub(crate) fn chunks<T: Send>(
         .collect()
 }
 
+/// Runs `f` on every chunk of `chunk` items of `data` (with the number of the chunk), in parallel.
+pub(crate) fn for_each_chunk<T: Send>(
+    data: &mut [T],
+    chunk: usize,
+    f: impl Fn(usize, &mut [T]) + Sync + Send,
+) {
+    data.par_chunks_mut(chunk)
+        .enumerate()
+        .for_each(|(i, part)| f(i, part));
+}
+
+/// Both results, computed side by side.
+pub(crate) fn both<A: Send, B: Send>(
+    a: impl FnOnce() -> A + Send,
+    b: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    rayon::join(a, b)
+}
+
 /// Runs `work` with `n_threads` threads; `None` takes the machine's (or `RAYON_NUM_THREADS`).
 ///
 /// # Errors
