@@ -1,1 +1,315 @@
-//! In the making: normals.
+//! Normals and curvature of the surface that the points lie on.
+//!
+//! Why: points that lie on surfaces of different slope or bend cannot be the same place, which is
+//! what tells a right pose from a nearly right one.
+//! Reads: points and a neighbour index.  Leaves: a unit normal and a curvature per point.
+//! Source: principal components of the neighbourhood (Hoppe et al. 1992); surface variation
+//! λ3/(λ1+λ2+λ3) (Pauly, Gross & Kobbelt 2002); eigenvalues by Jacobi's rotations.
+//! Deviates: nowhere.
+//! Absent on purpose: orientation towards a sensor, which a cloud does not know; compare normals
+//! by the absolute value of their product.
+
+use crate::cloud::{Point, centroid};
+use crate::error::{Result, require_at_least, require_positive};
+use crate::neighbors::{Neighbor, NeighborIndex};
+use crate::parallel;
+use crate::progress::Progress;
+
+/// Three points span a plane.
+const LEAST_POINTS: usize = 3;
+
+/// The surface round a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Surface {
+    /// Unit normal; its largest component is positive. Zero where the neighbours are fewer than
+    /// three or stand on one line or in one place.
+    pub normal: Point,
+    /// Smallest eigenvalue of the covariance over the sum of all three: 0 in a plane, 1/3 at most.
+    /// 0 where there is no normal.
+    pub curvature: f64,
+}
+
+impl Surface {
+    /// Where no plane can be told.
+    pub const NONE: Self = Self {
+        normal: [0.0; 3],
+        curvature: 0.0,
+    };
+}
+
+/// The surface at each of `points` from the `k` points of `index` nearest to it (itself included,
+/// where it is one of them).
+///
+/// ```
+/// use tmchho::{neighbors::NeighborIndex, normals, progress::Progress};
+/// let floor: Vec<[f64; 3]> = (0..25).map(|i| [f64::from(i % 5), f64::from(i / 5), 7.0]).collect();
+/// let index = NeighborIndex::new(&floor);
+/// let surfaces = normals::estimate(&floor, &index, 9, &Progress::silent())?;
+/// assert!(surfaces.iter().all(|s| s.normal == [0.0, 0.0, 1.0] && s.curvature == 0.0));
+/// # Ok::<(), tmchho::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Error::InvalidArgument`](crate::Error::InvalidArgument) where `k` is below three,
+/// [`Error::Cancelled`](crate::Error::Cancelled).
+pub fn estimate(
+    points: &[Point],
+    index: &NeighborIndex,
+    k: usize,
+    progress: &Progress<'_>,
+) -> Result<Vec<Surface>> {
+    require_at_least("k", k, LEAST_POINTS)?;
+    estimate_from(points, index, progress, |point, found| {
+        index.k_nearest(point, k, found);
+    })
+}
+
+/// The surface at each of `points` from the points of `index` within `radius_m` of it;
+/// [`Surface::NONE`] where they are fewer than `min_neighbors` (itself included).
+///
+/// # Errors
+/// [`Error::InvalidArgument`](crate::Error::InvalidArgument) where `radius_m` is not above 0,
+/// [`Error::Cancelled`](crate::Error::Cancelled).
+pub fn estimate_within(
+    points: &[Point],
+    index: &NeighborIndex,
+    radius_m: f64,
+    min_neighbors: usize,
+    progress: &Progress<'_>,
+) -> Result<Vec<Surface>> {
+    require_positive("radius_m", radius_m)?;
+    estimate_from(points, index, progress, |point, found| {
+        index.within(point, radius_m, found);
+        if found.len() < min_neighbors {
+            found.clear();
+        }
+    })
+}
+
+fn estimate_from(
+    points: &[Point],
+    index: &NeighborIndex,
+    progress: &Progress<'_>,
+    find: impl Fn(&Point, &mut Vec<Neighbor>) + Sync + Send,
+) -> Result<Vec<Surface>> {
+    let chunks = parallel::chunks(points.len(), progress, |range| {
+        let (mut found, mut neighbors) = (Vec::new(), Vec::new());
+        points[range]
+            .iter()
+            .map(|point| {
+                find(point, &mut found);
+                neighbors.clear();
+                neighbors.extend(found.iter().map(|n| index.points()[n.index as usize]));
+                surface_through(&neighbors)
+            })
+            .collect::<Vec<_>>()
+    })?;
+    Ok(chunks.into_iter().flatten().collect())
+}
+
+/// The plane of least squares through `points`.
+fn surface_through(points: &[Point]) -> Surface {
+    /// A neighbourhood whose width is a millionth of its length is a line.
+    const LINE: f64 = 1e-12;
+    if points.len() < LEAST_POINTS {
+        return Surface::NONE;
+    }
+    let centre = centroid(points);
+    let mut scatter = Symmetric::default();
+    for p in points {
+        scatter.add([p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]], 1.0);
+    }
+    let (lambda, vectors) = scatter.eigen();
+    if lambda[1] <= LINE * lambda[0] {
+        return Surface::NONE;
+    }
+    let normal = vectors[2];
+    let largest = normal.iter().fold(
+        0.0,
+        |largest: f64, v| if v.abs() > largest.abs() { *v } else { largest },
+    );
+    Surface {
+        normal: normal.map(|v| v * largest.signum()),
+        curvature: lambda[2].max(0.0) / (lambda[0] + lambda[1] + lambda[2].max(0.0)),
+    }
+}
+
+/// A symmetric 3×3 matrix: a sum of weighted outer products.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Symmetric {
+    /// xx, yy, zz.
+    diagonal: [f64; 3],
+    /// yz, xz, xy: each beside the axis that it lacks.
+    off_diagonal: [f64; 3],
+}
+
+impl Symmetric {
+    /// Adds `weight`·v·vᵀ.
+    #[inline]
+    pub(crate) fn add(&mut self, v: Point, weight: f64) {
+        for axis in 0..3 {
+            let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+            self.diagonal[axis] += weight * v[axis] * v[axis];
+            self.off_diagonal[axis] += weight * v[next] * v[last];
+        }
+    }
+
+    /// Eigenvalues in falling order, and the unit eigenvector of each. Exact to the rounding of the
+    /// largest; the smallest may come out a trifle below zero.
+    pub(crate) fn eigen(&self) -> ([f64; 3], [Point; 3]) {
+        const MAX_SWEEPS: usize = 16;
+        let (mut d, mut o) = (self.diagonal, self.off_diagonal);
+        let mut vectors = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        for _ in 0..MAX_SWEEPS {
+            let off_sq = o[0] * o[0] + o[1] * o[1] + o[2] * o[2];
+            let diagonal_sq = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+            if off_sq <= 1e-32 * diagonal_sq {
+                break;
+            }
+            for (p, q, r) in [(0, 1, 2), (0, 2, 1), (1, 2, 0)] {
+                if o[r] == 0.0 {
+                    continue;
+                }
+                // The turn in the plane of p and q that clears the element between them.
+                let cotangent = (d[q] - d[p]) / (2.0 * o[r]);
+                let tangent =
+                    1.0_f64.copysign(cotangent) / (cotangent.abs() + cotangent.hypot(1.0));
+                let cosine = 1.0 / (tangent * tangent + 1.0).sqrt();
+                let sine = tangent * cosine;
+                d[p] -= tangent * o[r];
+                d[q] += tangent * o[r];
+                o[r] = 0.0;
+                // o[q] stands between r and p, o[p] between r and q.
+                (o[q], o[p]) = (cosine * o[q] - sine * o[p], sine * o[q] + cosine * o[p]);
+                for axis in 0..3 {
+                    let (a, b) = (vectors[p][axis], vectors[q][axis]);
+                    vectors[p][axis] = cosine * a - sine * b;
+                    vectors[q][axis] = sine * a + cosine * b;
+                }
+            }
+        }
+        let mut order = [0, 1, 2];
+        order.sort_by(|&a, &b| d[b].total_cmp(&d[a]));
+        (order.map(|i| d[i]), order.map(|i| vectors[i]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Stream;
+    use crate::rigid::Rigid;
+    use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+
+    fn dot(a: &Point, b: &Point) -> f64 {
+        a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    }
+
+    #[test]
+    fn by_hand() {
+        // A cross in the plane z = x: along y 2·2² = 8, along (1, 0, 1) 2·(1 + 1) = 4, across 0.
+        let cross = [
+            [1.0, 0.0, 1.0],
+            [-1.0, 0.0, -1.0],
+            [0.0, 2.0, 0.0],
+            [0.0, -2.0, 0.0],
+        ];
+        let mut scatter = Symmetric::default();
+        for p in cross {
+            scatter.add(p, 1.0);
+        }
+        let (lambda, _) = scatter.eigen();
+        for (got, wanted) in lambda.iter().zip([8.0, 4.0, 0.0]) {
+            assert!((got - wanted).abs() < 1e-15);
+        }
+        let surface = surface_through(&cross);
+        assert!((dot(&surface.normal, &[1.0, 0.0, -1.0]).abs() - 2_f64.sqrt()).abs() < 1e-15);
+        assert!(surface.curvature < 1e-16);
+    }
+
+    #[test]
+    fn eigenvalues_and_vectors_agree_with_nalgebra() {
+        let mut stream = Stream::new(1, "eigen", 0);
+        for trial in 0..2000 {
+            // From round to needle-like, some of them along the axes.
+            let widths = [1.0, stream.uniform(), stream.uniform().powi(6)];
+            let turn = match trial % 10 {
+                0 => Rigid::identity(),
+                _ => Rigid::from_euler([0; 3].map(|_| 3.0 * stream.normal()), [0.0; 3]),
+            };
+            let mut scatter = Symmetric::default();
+            let mut twin = Matrix3::zeros();
+            for _ in 0..10 {
+                let v = turn.rotate(&widths.map(|width| width * stream.normal()));
+                let weight = stream.uniform();
+                scatter.add(v, weight);
+                let v = Vector3::from(v);
+                twin += weight * v * v.transpose();
+            }
+            let (lambda, vectors) = scatter.eigen();
+            let mut wanted: Vec<f64> = SymmetricEigen::new(twin)
+                .eigenvalues
+                .iter()
+                .copied()
+                .collect();
+            wanted.sort_by(|a, b| b.total_cmp(a));
+            for i in 0..3 {
+                assert!((lambda[i] - wanted[i]).abs() < 1e-13 * wanted[0]);
+                let v = Vector3::from(vectors[i]);
+                assert!((twin * v - v * lambda[i]).amax() < 1e-13 * wanted[0]);
+                assert!((v.norm() - 1.0).abs() < 1e-13);
+            }
+        }
+        assert_eq!(Symmetric::default().eigen().0, [0.0; 3]);
+    }
+
+    #[test]
+    fn a_sphere_has_radial_normals_that_turn_with_it() {
+        let mut stream = Stream::new(2, "sphere", 0);
+        let sphere: Vec<Point> = (0..4000)
+            .map(|_| {
+                let v = Vector3::from([0; 3].map(|_| stream.normal()));
+                v.normalize().into()
+            })
+            .collect();
+        let index = NeighborIndex::new(&sphere);
+        let silent = Progress::silent();
+        let by_number = estimate(&sphere, &index, 12, &silent).unwrap();
+        let by_radius = estimate_within(&sphere, &index, 0.12, 5, &silent).unwrap();
+        for surfaces in [&by_number, &by_radius] {
+            let aligned = surfaces
+                .iter()
+                .zip(&sphere)
+                .filter(|(s, p)| dot(&s.normal, p).abs() > 0.99)
+                .count();
+            assert!(aligned > 3950, "{aligned}");
+            assert!(surfaces.iter().all(|s| s.curvature < 0.02));
+        }
+        let turn = Rigid::from_euler([0.5, -0.8, 2.0], [1e6, -2e6, 3.0]);
+        let moved: Vec<Point> = sphere.iter().map(|p| turn.apply(p)).collect();
+        let turned = estimate(&moved, &NeighborIndex::new(&moved), 12, &silent).unwrap();
+        for (a, b) in by_number.iter().zip(&turned) {
+            assert!(dot(&turn.rotate(&a.normal), &b.normal).abs() > 1.0 - 1e-9);
+            assert!((a.curvature - b.curvature).abs() < 1e-7);
+        }
+    }
+
+    #[test]
+    fn no_plane_no_normal() {
+        let silent = Progress::silent();
+        let line: Vec<Point> = (0..20)
+            .map(|i| [f64::from(i), 0.3 * f64::from(i), 7.0 - f64::from(i)])
+            .collect();
+        let same = vec![[1e6, 2e6, 3e6]; 30];
+        for points in [&line, &same, &vec![[1.0; 3], [2.0; 3]], &vec![]] {
+            let index = NeighborIndex::new(points);
+            let surfaces = estimate(points, &index, 10, &silent).unwrap();
+            assert_eq!(surfaces, vec![Surface::NONE; points.len()]);
+        }
+        let index = NeighborIndex::new(&line);
+        let alone = estimate_within(&line, &index, 1e-3, 3, &silent).unwrap();
+        assert_eq!(alone, vec![Surface::NONE; line.len()]);
+        assert!(estimate(&line, &index, 2, &silent).is_err());
+        assert!(estimate_within(&line, &index, f64::NAN, 3, &silent).is_err());
+    }
+}

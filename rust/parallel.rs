@@ -100,6 +100,11 @@ mod tests {
     }
 
     #[test]
+    fn both_results_come_back_in_their_places() {
+        assert_eq!(both(|| 1 + 1, || "two"), (2, "two"));
+    }
+
+    #[test]
     fn order_is_kept_and_a_stop_is_obeyed() {
         let doubled = map_cheap(5000, &Progress::silent(), |i| 2 * i).unwrap();
         assert!(doubled.iter().enumerate().all(|(i, v)| *v == 2 * i));
