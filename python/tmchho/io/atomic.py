@@ -1,0 +1,143 @@
+"""Files that appear whole or not at all.
+
+Why: a long run must not leave half a file behind, nor lose the old one, when the disk is full or the user
+interrupts. Everything is written under a temporary name in the same folder and renamed at the very end.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tmchho.errors import TmchhoError, WriteError
+
+StrPath = str | os.PathLike[str]
+
+
+@contextmanager
+def atomic_path(path: StrPath, overwrite: bool = False, inputs: Iterable[StrPath] = ()) -> Iterator[Path]:
+    """Lend a temporary path that becomes `path` when the block ends without an error.
+
+    Parameters
+    ----------
+    path : str or path
+        The file to make. A symbolic link is followed: its target is replaced, the link stays.
+    overwrite : bool, default False
+        Replace an existing file.
+    inputs : iterable of str or path
+        Files that must never be replaced, even with `overwrite`.
+
+    Yields
+    ------
+    Path
+        A name in the same folder with the same suffix. The block creates the file.
+
+    Raises
+    ------
+    WriteError
+        If `path` exists and may not be replaced, or the file system refuses. The temporary file is
+        removed on every error, an interrupt included.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> with atomic_path(folder / "pose.txt") as temporary:
+    ...     _ = temporary.write_text("1 0 0 0")
+    >>> [file.name for file in folder.iterdir()]
+    ['pose.txt']
+    """
+    inputs = tuple(inputs)
+    check_output(path, overwrite, inputs)
+    target = Path(path).resolve()
+    # The stem is cut because file systems allow 255 bytes for a name.
+    unique = f"tmp-{os.getpid()}-{secrets.token_hex(4)}"
+    temporary = target.with_name(f".{target.stem[:40]}.{unique}{target.suffix}")
+    try:
+        yield temporary
+        _flush_to_disk(temporary)
+        check_output(path, overwrite, inputs)  # another program may have been quicker
+        os.replace(temporary, target)
+    except TmchhoError:
+        raise
+    except OSError as error:
+        raise WriteError(
+            f"{path}: cannot be written ({reason(error)}); check the disk and the rights"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def check_output(path: StrPath, overwrite: bool = False, inputs: Iterable[StrPath] = ()) -> None:
+    """Raise `WriteError` if `path` may not be written: a cheap test before a long computation.
+
+    Parameters
+    ----------
+    path : str or path
+        The file that is going to be made.
+    overwrite : bool, default False
+        Whether an existing file may be replaced.
+    inputs : iterable of str or path
+        Files that must never be replaced, even with `overwrite`.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise WriteError(f"{path}: the folder {path.parent} does not exist; create it or choose another")
+    if not path.exists():
+        return
+    if not path.is_file():
+        raise WriteError(f"{path}: is not a file that could be replaced; choose another name")
+    for source in inputs:
+        if Path(source).exists() and path.samefile(source):
+            raise WriteError(f"{path}: is an input and is never overwritten; choose another name")
+    if not overwrite:
+        raise WriteError(f"{path}: exists already; choose another name or allow overwriting")
+
+
+def check_writable_folder(path: StrPath) -> Path:
+    """Make sure that files can be made in a folder, before hours are spent on what goes into it.
+
+    Parameters
+    ----------
+    path : str or path
+        The folder; it is created, with its parents, if it does not exist.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    WriteError
+        If it cannot be created or no file can be made in it.
+    """
+    folder = Path(path)
+    probe = folder / f".tmp-{os.getpid()}-{secrets.token_hex(4)}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch(exist_ok=False)
+        probe.unlink()
+    except OSError as error:
+        raise WriteError(
+            f"{folder}: no file can be written into this folder ({reason(error)}); choose another"
+        ) from error
+    return folder
+
+
+def reason(error: BaseException) -> str:
+    """Return the first line of an error's message, or its class name where it has none."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    lines = str(error).strip().splitlines()
+    return lines[0][:200] if lines else type(error).__name__
+
+
+def _flush_to_disk(path: Path) -> None:
+    """Wait until the file's bytes are on the disk, so that the rename cannot overtake them."""
+    # Opened for updating because some systems refuse to sync a file that is only read.
+    with path.open("rb+") as stream:
+        os.fsync(stream.fileno())
