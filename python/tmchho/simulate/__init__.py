@@ -1,0 +1,29 @@
+"""A rockfill-dam construction site made by code, and surveyed as two different sensors would.
+
+`make_site` shapes the scene, `survey_scanner` and `survey_photogrammetry` survey it, and `make_pair`
+does all of this and moves one of the clouds by a known pose: a test of registration in which the
+truth is known. Everything follows from the arguments and a seed.
+"""
+
+from tmchho.simulate.ground import Area, Ground
+from tmchho.simulate.materials import Material
+from tmchho.simulate.pair import SimulatedPair, make_pair, random_pose
+from tmchho.simulate.photogrammetry import survey_photogrammetry
+from tmchho.simulate.scanner import place_stations, survey_scanner
+from tmchho.simulate.site import Site, make_site
+from tmchho.simulate.solids import Solid
+
+__all__ = [
+    "Area",
+    "Ground",
+    "Material",
+    "SimulatedPair",
+    "Site",
+    "Solid",
+    "make_pair",
+    "make_site",
+    "place_stations",
+    "random_pose",
+    "survey_photogrammetry",
+    "survey_scanner",
+]
