@@ -10,7 +10,7 @@
 //! with fewer calls. With the mutation on, every new position is clipped and evaluated at once,
 //! because the mutation needs the values of all hawks.
 
-use crate::error::{Error, Result, require_at_least, require_between};
+use crate::error::{Error, Result, require_at_least};
 use crate::random::Stream;
 
 use super::hunt::Hunt;
@@ -21,8 +21,9 @@ use super::{
 /// Settings of the search by hawks; the default is TMCHHO.
 ///
 /// What to expect: two of the rules (O_prey − O and O_prey − O_avg) pull the hawks towards the
-/// origin of the coordinates. A minimum at the origin is found to 10⁻³⁰ within 100 iterations; one
-/// that lies elsewhere is approached only roughly, by both forms alike.
+/// origin of the coordinates. The sum of squares of ten coordinates falls to 10⁻²⁶ (HHO) or 10⁻³⁰
+/// (TMCHHO) within 100 iterations where its minimum is the origin, and by both forms alike only to
+/// about 10³ where the minimum lies elsewhere in ±100.
 ///
 /// ```
 /// use tmchho::optim::HawkOptions;
@@ -84,8 +85,17 @@ impl HawkOptions {
         if let Some(max_evaluations) = self.max_evaluations {
             require_at_least("max_evaluations", max_evaluations, 1)?;
         }
-        require_between("levy_factor", self.levy_factor, 0.0, f64::MAX)?;
-        require_between("mutation_variance", self.mutation_variance, 0.0, f64::MAX)?;
+        for (name, value) in [
+            ("levy_factor", self.levy_factor),
+            ("mutation_variance", self.mutation_variance),
+        ] {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(Error::argument(
+                    name,
+                    format!("must be a number of at least 0, got {value}"),
+                ));
+            }
+        }
         Ok(())
     }
 }
@@ -197,10 +207,11 @@ mod tests {
                 .unwrap()
             };
             let one = run(1, 5);
-            // `==` of numbers takes 0 for -0, but no position is ever a zero here.
-            assert_eq!(one, run(1, 5));
-            assert_eq!(one, run(2, 5));
-            assert_eq!(one, run(4, 5));
+            // Printed, because that tells any two numbers apart, and 0 from -0 as well.
+            let one_printed = format!("{one:?}");
+            for n_threads in [1, 2, 4] {
+                assert_eq!(one_printed, format!("{:?}", run(n_threads, 5)));
+            }
             assert_ne!(one.history, run(1, 6).history);
         }
     }
@@ -214,49 +225,24 @@ mod tests {
 
     #[test]
     fn a_setting_out_of_its_range_is_refused_by_name() {
-        let refused = |name: &str, options: HawkOptions| {
+        let refused = |name: &str, change: fn(&mut HawkOptions)| {
+            let mut options = HawkOptions::default();
+            change(&mut options);
             let bounds = Bounds::cube(2, -1.0, 1.0).unwrap();
             match options.minimize(&|_: &[f64]| 0.0, &bounds, 0) {
                 Err(Error::InvalidArgument { name: found, .. }) => assert_eq!(found, name),
                 other => panic!("{name}: {other:?}"),
             }
         };
-        let options = HawkOptions::default;
-        refused(
-            "n_hawks",
-            HawkOptions {
-                n_hawks: 0,
-                ..options()
-            },
-        );
-        refused(
-            "n_iterations",
-            HawkOptions {
-                n_iterations: 0,
-                ..options()
-            },
-        );
-        refused(
-            "max_evaluations",
-            HawkOptions {
-                max_evaluations: Some(0),
-                ..options()
-            },
-        );
-        refused(
-            "levy_factor",
-            HawkOptions {
-                levy_factor: -1.0,
-                ..options()
-            },
-        );
-        refused(
-            "mutation_variance",
-            HawkOptions {
-                mutation_variance: f64::NAN,
-                ..options()
-            },
-        );
+        refused("n_hawks", |options| options.n_hawks = 0);
+        refused("n_iterations", |options| options.n_iterations = 0);
+        refused("max_evaluations", |options| {
+            options.max_evaluations = Some(0)
+        });
+        refused("levy_factor", |options| options.levy_factor = -1.0);
+        refused("mutation_variance", |options| {
+            options.mutation_variance = f64::NAN
+        });
     }
 
     #[test]

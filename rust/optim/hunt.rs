@@ -164,7 +164,7 @@ impl<'a> Hunt<'a> {
                 .collect()
         };
         let [a, b, c] = [chosen[0], chosen[1], chosen[2]];
-        let o = stream.normal() * self.options.mutation_variance.sqrt();
+        let o = self.draw_mutation_factor();
         let fitness = [
             self.known_fitness(a)?,
             self.known_fitness(b)?,
@@ -178,6 +178,11 @@ impl<'a> Hunt<'a> {
     /// J, the strength of the prey's jump.
     fn draw_jump(&mut self) -> f64 {
         2.0 * (1.0 - self.move_stream.uniform())
+    }
+
+    /// o of Eq. (7), from N(0, variance).
+    fn draw_mutation_factor(&mut self) -> f64 {
+        self.options.mutation_variance.sqrt() * self.mutation_stream.normal()
     }
 
     /// Puts hawk `i` at `position`, better or not.
@@ -239,39 +244,89 @@ impl<'a> Hunt<'a> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_hawk_on_the_prey_is_not_evaluated_again() {
-        // Hard besiege by a hawk that is the prey: O_prey - E |0| is where it is already.
-        let sphere = |x: &[f64]| x[0] * x[0];
-        let bounds = Bounds::cube(1, -1.0, 1.0).unwrap();
-        let options = HawkOptions::hho();
-        let mut hunt = Hunt::new(&options, &sphere, &bounds, 0, vec![vec![0.5]]);
+    fn sphere(x: &[f64]) -> f64 {
+        x.iter().map(|x| x * x).sum()
+    }
+
+    /// Calls `test` with hawks at `positions` on a line whose values are known.
+    fn with_hunt(
+        options: &HawkOptions,
+        objective: &dyn Objective,
+        positions: &[f64],
+        test: impl FnOnce(&mut Hunt<'_>),
+    ) {
+        let bounds = Bounds::cube(1, -10.0, 10.0).unwrap();
+        let hawks = positions.iter().map(|x| vec![*x]).collect();
+        let mut hunt = Hunt::new(options, objective, &bounds, 0, hawks);
         hunt.evaluate_hawks();
         hunt.update_prey();
-        hunt.besiege(0, 0.25).unwrap();
-        hunt.evaluate_hawks();
-        assert_eq!(hunt.hawks, [[0.5]]);
-        assert_eq!(hunt.evaluator.n_evaluations, 1);
+        test(&mut hunt);
+    }
+
+    #[test]
+    fn a_hawk_on_the_prey_is_not_evaluated_again() {
+        with_hunt(&HawkOptions::hho(), &sphere, &[0.5], |hunt| {
+            // O_prey - E |O_prey - O| is where it is already.
+            hunt.besiege(0, 0.25).unwrap();
+            hunt.evaluate_hawks();
+            assert_eq!(hunt.hawks, [[0.5]]);
+            assert_eq!(hunt.evaluator.n_evaluations, 1);
+        });
+    }
+
+    #[test]
+    fn besieges_move_a_hawk_for_better_or_worse_and_dives_only_for_better() {
+        let flat = |_: &[f64]| 1.0;
+        with_hunt(&HawkOptions::hho(), &flat, &[0.0, 4.0], |hunt| {
+            hunt.dive(1, 0.25).unwrap();
+            assert_eq!(hunt.hawks[1], [4.0]);
+            assert_eq!(hunt.evaluator.n_evaluations, 2 + 2, "both trial points");
+            hunt.besiege(1, 0.25).unwrap();
+            assert_eq!(hunt.hawks[1], [-1.0]); // 0 - 0.25 * |0 - 4|
+            assert_eq!(hunt.evaluator.n_evaluations, 4, "asked for later");
+        });
+    }
+
+    #[test]
+    fn the_prey_stays_until_all_hawks_have_moved() {
+        with_hunt(&HawkOptions::tmchho(), &sphere, &[3.0; 30], |hunt| {
+            hunt.move_hawks(400);
+            let best = (hunt.fitness.iter().flatten()).fold(f64::INFINITY, |a, b| a.min(*b));
+            assert!(best < 9.0);
+            assert_eq!((hunt.prey[0], hunt.prey_fitness), (3.0, 9.0));
+            hunt.update_prey();
+            assert_eq!(hunt.prey_fitness, best);
+        });
     }
 
     #[test]
     fn two_hawks_are_not_mutated_three_are() {
-        let sphere = |x: &[f64]| x[0] * x[0];
-        let bounds = Bounds::cube(1, -10.0, 10.0).unwrap();
         let options = HawkOptions {
             mutation_variance: 0.0,
             ..HawkOptions::tmchho()
         };
-        let mutated = |hawks: &[f64]| {
-            let hawks = hawks.iter().map(|x| vec![*x]).collect();
-            let mut hunt = Hunt::new(&options, &sphere, &bounds, 0, hawks);
-            hunt.evaluate_hawks();
-            hunt.mutate(0).unwrap();
-            hunt.hawks[0][0]
+        let mutated = |positions: &[f64]| {
+            let mut position = f64::NAN;
+            with_hunt(&options, &sphere, positions, |hunt| {
+                hunt.mutate(0).unwrap();
+                position = hunt.hawks[0][0];
+            });
+            position
         };
         assert_eq!(mutated(&[5.0, 1.0]), 5.0);
         assert_eq!(mutated(&[5.0, 1.0, 0.0]), 2.0); // (5 + 1 + 0) / 3
         assert_eq!(mutated(&[5.0, 1.0, 0.0, 2.0]), 1.0); // the three others
         assert_eq!(mutated(&[0.5, 1.0, 0.0, 2.0]), 0.5); // no better, so it stays
+    }
+
+    #[test]
+    fn random_factors_have_the_moments_of_the_paper() {
+        with_hunt(&HawkOptions::tmchho(), &sphere, &[1.0], |hunt| {
+            let n = 100_000;
+            let squares: f64 = (0..n).map(|_| hunt.draw_mutation_factor().powi(2)).sum();
+            assert!((squares / f64::from(n) - 0.1).abs() < 0.003, "{squares}");
+            let jumps: f64 = (0..n).map(|_| hunt.draw_jump()).sum();
+            assert!((jumps / f64::from(n) - 1.0).abs() < 0.01, "{jumps}");
+        });
     }
 }

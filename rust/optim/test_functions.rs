@@ -45,7 +45,7 @@ impl TestFunction {
 }
 
 /// Table 1, in its order.
-pub const ALL: [TestFunction; 7] = [
+pub static ALL: [TestFunction; 7] = [
     function("f1", "sphere", 100.0, f1),
     function("f2", "Schwefel 2.22", 10.0, f2),
     function("f3", "Schwefel 1.2", 100.0, f3),
@@ -60,9 +60,7 @@ pub const ALL: [TestFunction; 7] = [
 /// # Errors
 /// [`Error::InvalidArgument`] for any other name.
 pub fn by_name(name: &str) -> Result<&'static TestFunction> {
-    const TABLE: &[TestFunction] = &ALL;
-    TABLE
-        .iter()
+    ALL.iter()
         .find(|f| f.name == name)
         .ok_or_else(|| Error::argument("test function", format!("must be f1 to f7, got {name}")))
 }
@@ -155,7 +153,7 @@ mod tests {
 
     #[test]
     fn the_lowest_value_is_at_the_origin() {
-        for f in ALL {
+        for f in &ALL {
             for dimension in [10, 50] {
                 let at_origin = (f.evaluate)(&vec![0.0; dimension]);
                 // The four terms of f6 do not cancel to the last bit.
