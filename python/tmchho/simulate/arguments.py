@@ -51,6 +51,21 @@ def checked_number(name: str, value: Any, low: float, high: float = math.inf) ->
     return float(value)
 
 
+def checked_n_points(name: str, value: Any) -> int:
+    """Return a number of points that a survey can have."""
+    return checked_count(name, value, 1, 50_000_000)
+
+
+def checked_noise(name: str, value: Any) -> float:
+    """Return a standard deviation in metres that a sensor can have."""
+    return checked_number(name, value, 0.0, 2.0)
+
+
+def checked_outlier_share(name: str, value: Any) -> float:
+    """Return a share of wrong points that a survey can have."""
+    return checked_number(name, value, 0.0, 0.5)
+
+
 def checked_offset(name: str, value: Any) -> tuple[float, float]:
     """Return two numbers within [-1, 1], or raise `InvalidArgumentError` naming the argument."""
     if not isinstance(value, (Sequence, np.ndarray)) or isinstance(value, str) or len(value) != 2:

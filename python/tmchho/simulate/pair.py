@@ -10,7 +10,14 @@ import numpy as np
 
 from tmchho.cloud import PointCloud
 from tmchho.errors import InvalidArgumentError
-from tmchho.simulate.arguments import checked_number, checked_seed, stream
+from tmchho.simulate.arguments import (
+    checked_n_points,
+    checked_noise,
+    checked_number,
+    checked_outlier_share,
+    checked_seed,
+    stream,
+)
 from tmchho.simulate.ground import Array
 from tmchho.simulate.photogrammetry import survey_photogrammetry
 from tmchho.simulate.scanner import survey_scanner
@@ -115,7 +122,14 @@ def make_pair(
     >>> len(pair.source), len(pair.target), pair.target_from_source.shape
     (2000, 1000, (4, 4))
     """
+    # Here, so that messages name the arguments of this function, and before anything takes time.
     seed = checked_seed(seed)
+    n_flown = checked_n_points("n_photogrammetry_points", n_photogrammetry_points)
+    n_scanned = checked_n_points("n_scanner_points", n_scanner_points)
+    flown_noise_m = checked_noise("photogrammetry_noise_m", photogrammetry_noise_m)
+    scanned_noise_m = checked_noise("scanner_noise_m", scanner_noise_m)
+    flown_outliers = checked_outlier_share("photogrammetry_outlier_share", photogrammetry_outlier_share)
+    scanned_outliers = checked_outlier_share("scanner_outlier_share", scanner_outlier_share)
     if not isinstance(national_grid, (bool, np.bool_)):
         raise InvalidArgumentError(f"national_grid must be True or False, got {national_grid!r}")
     given_pose = None if isinstance(pose, str) else checked_pose("pose", pose)
@@ -125,18 +139,14 @@ def make_pair(
         size_m=size_m, area_ratio=area_ratio, overlap=overlap, centre_offset=centre_offset, seed=seed
     )
     flown = survey_photogrammetry(
-        site,
-        n_points=n_photogrammetry_points,
-        noise_m=photogrammetry_noise_m,
-        outlier_share=photogrammetry_outlier_share,
-        seed=seed,
+        site, n_points=n_flown, noise_m=flown_noise_m, outlier_share=flown_outliers, seed=seed
     )
     scanned = survey_scanner(
         site,
         stations=stations,
-        n_points=n_scanner_points,
-        range_noise_m=scanner_noise_m,
-        outlier_share=scanner_outlier_share,
+        n_points=n_scanned,
+        range_noise_m=scanned_noise_m,
+        outlier_share=scanned_outliers,
         seed=seed,
     )
     target_from_site = np.eye(4)

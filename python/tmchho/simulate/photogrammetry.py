@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tmchho.cloud import PointCloud
-from tmchho.simulate.arguments import checked_count, checked_number, checked_seed, stream
+from tmchho.simulate.arguments import (
+    checked_n_points,
+    checked_noise,
+    checked_number,
+    checked_outlier_share,
+    checked_seed,
+    stream,
+)
 from tmchho.simulate.ground import Array, Ground, value_noise
 from tmchho.simulate.materials import COLOURS, LAS_CLASS, LAS_CLASS_STRAY, Material
 from tmchho.simulate.site import Site
@@ -27,6 +34,8 @@ CAMERA_AZIMUTHS_RAD = np.deg2rad([20.0, 110.0, 200.0, 290.0])
 LEAST_CAMERA_COSINE = 0.25
 # Whatever is farther than this from a wall's solid does not hide it.
 CLEAR_M = 8.0
+# The largest spacing that still sets the size of what is smoothed, in metres.
+MAX_PATCH_M = 1.5
 # Points per area of a wall, relative to level ground.
 WALL_SHARE = 0.6
 # Share of the points on still water that match at all.
@@ -76,7 +85,8 @@ def survey_photogrammetry(
         Standard deviation of the noise along the normal on level ground, in metres; about two
         and a half times as large on a wall.
     smoothing_spacings : float, default 2.5
-        Full width at half maximum of the low-pass, in point spacings; 0 keeps edges sharp.
+        Full width at half maximum of the low-pass, in point spacings (of 1.5 m at most); 0 keeps
+        edges sharp.
     outlier_share : float, default 0.005
         Share of mismatched points, metres above or below the surface; 0 to 0.5.
     seed : int, default 0
@@ -94,28 +104,29 @@ def survey_photogrammetry(
     InvalidArgumentError
         If an argument is out of its range.
     """
-    n_points = checked_count("n_points", n_points, 1, 50_000_000)
-    noise_m = checked_number("noise_m", noise_m, 0.0, 2.0)
+    n_points = checked_n_points("n_points", n_points)
+    noise_m = checked_noise("noise_m", noise_m)
     smoothing_spacings = checked_number("smoothing_spacings", smoothing_spacings, 0.0, 10.0)
-    outlier_share = checked_number("outlier_share", outlier_share, 0.0, 0.5)
+    outlier_share = checked_outlier_share("outlier_share", outlier_share)
     seed = checked_seed(seed)
 
     area = site.photogrammetry_area
     spacing_m = float(np.sqrt(area.square_metres / n_points))
     sharp, _ = site.surface(area)
+    # Sparse clouds are thinned dense ones: their patches do not grow without end.
+    patch_m = min(spacing_m, MAX_PATCH_M)
     # A part of the noise is common to neighbours, unless nothing is smoothed.
     lumps_m = 0.6 * noise_m if smoothing_spacings > 0.0 else 0.0
-    seen = _matched_surface(sharp, smoothing_spacings * spacing_m, lumps_m, seed)
-    weights = _points_per_cell(sharp, seen, spacing_m)
+    seen = _matched_surface(sharp, smoothing_spacings * patch_m, lumps_m, seed)
+    weights = _points_per_cell(sharp, seen, patch_m)
     pitch_m = spacing_m * float(np.sqrt(weights.mean() / 1.03))
     samples = _sample(site, seen, weights, pitch_m, seed)
     while len(samples.xyz) < n_points:
         pitch_m *= 0.99 * float(np.sqrt(max(len(samples.xyz), 1) / n_points))
         samples = _sample(site, seen, weights, pitch_m, seed)
     chosen = stream(seed, "matching choice").permutation(len(samples.xyz))[:n_points]
-    return _matched(
-        sharp, samples.take(np.sort(chosen)), float(np.sqrt(noise_m**2 - lumps_m**2)), outlier_share, seed
-    )
+    own_noise_m = float(np.sqrt(noise_m**2 - lumps_m**2))
+    return _matched(sharp, samples.take(np.sort(chosen)), own_noise_m, outlier_share, seed)
 
 
 def _matched_surface(sharp: Ground, width_m: float, lumps_m: float, seed: int) -> Ground:
@@ -143,16 +154,16 @@ def _low_pass(grid: Array, sigma_cells: float) -> Array:
     return grid
 
 
-def _points_per_cell(sharp: Ground, seen: Ground, spacing_m: float) -> Array:
+def _points_per_cell(sharp: Ground, seen: Ground, patch_m: float) -> Array:
     """Relative number of points in plan at every node: the slope's area times the share that matches.
 
     The share falls from 60 to 80 degrees of steepness, and where a patch spans a jump, which shows
-    as one to two spacings between the sharp and the smooth surface.
+    as one to two patches between the sharp and the smooth surface.
     """
     north, east = np.gradient(seen.heights, seen.cell_m)
     slope = np.hypot(east, north)
     share = np.clip((np.deg2rad(80.0) - np.arctan(slope)) / np.deg2rad(20.0), 0.0, 1.0)
-    share *= np.clip(2.0 - np.abs(seen.heights - sharp.heights) / spacing_m, 0.0, 1.0)
+    share *= np.clip(2.0 - np.abs(seen.heights - sharp.heights) / patch_m, 0.0, 1.0)
     weights = np.sqrt(1.0 + slope * slope) * share
     weights[seen.materials == Material.WATER] *= WATER_SHARE
     return np.asarray(weights)

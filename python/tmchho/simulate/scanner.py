@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from tmchho.cloud import PointCloud
 from tmchho.errors import InvalidArgumentError
-from tmchho.simulate.arguments import checked_count, checked_number, checked_seed, stream
+from tmchho.simulate.arguments import (
+    checked_count,
+    checked_n_points,
+    checked_noise,
+    checked_number,
+    checked_outlier_share,
+    checked_seed,
+    stream,
+)
 from tmchho.simulate.ground import Area, Array
 from tmchho.simulate.materials import LAS_CLASS, LAS_CLASS_STRAY, REFLECTANCE, Material
 from tmchho.simulate.site import Site
@@ -27,9 +35,9 @@ LOWEST_RAD, HIGHEST_RAD = np.deg2rad(-58.0), np.deg2rad(50.0)
 # Returns fade out as the ray grazes the surface: all come back above this cosine of incidence.
 FULL_RETURN_COSINE = 0.12
 # Places among which the stations are chosen.
-N_CANDIDATES = 100
+N_CANDIDATES = 80
 # Rays of the first look, which finds out what share of all rays gives a point.
-N_PILOT_RAYS = 60_000
+N_PILOT_RAYS = 40_000
 # Profile samples held at once (eight bytes each, a handful of arrays).
 MAX_PROFILE_SAMPLES = 1_500_000
 
@@ -104,11 +112,11 @@ def survey_scanner(
     InvalidArgumentError
         If an argument is out of its range, or the stations see nothing.
     """
-    n_points = checked_count("n_points", n_points, 1, 50_000_000)
-    range_noise_m = checked_number("range_noise_m", range_noise_m, 0.0, 1.0)
+    n_points = checked_n_points("n_points", n_points)
+    range_noise_m = checked_noise("range_noise_m", range_noise_m)
     max_range_m = checked_number("max_range_m", max_range_m, 5.0, 5000.0)
     thinning_range_m = checked_number("thinning_range_m", thinning_range_m, 0.0, max_range_m)
-    outlier_share = checked_number("outlier_share", outlier_share, 0.0, 0.5)
+    outlier_share = checked_outlier_share("outlier_share", outlier_share)
     seed = checked_seed(seed)
     eyes = _station_points(site, stations, seed)
 
@@ -145,7 +153,7 @@ def place_stations(site: Site, count: int, *, seed: int = 0) -> Array:
     site : Site
         The scene.
     count : int
-        Number of stations; 1 to 100.
+        Number of stations; 1 to 80.
     seed : int, default 0
         Fixes the choice.
 
@@ -184,15 +192,15 @@ def place_stations(site: Site, count: int, *, seed: int = 0) -> Array:
 
 
 def _expected_density(site: Site, eyes: Array) -> Array:
-    """Relative point density that each place gives each of 30 x 30 ground targets, (n_eyes, 900)."""
+    """Relative point density that each place gives each of 24 x 24 ground targets, (n_eyes, 576)."""
     area = site.scanner_area
     ground, _ = site.surface(area)
-    share = (np.arange(30) + 0.5) / 30.0
+    share = (np.arange(24) + 0.5) / 24.0
     x, y = (axis.ravel() for axis in np.meshgrid(share, share))
     x, y = area.west + x * (area.east - area.west), area.south + y * (area.north - area.south)
     targets = np.column_stack([x, y, ground.height(x, y)])
     normals = ground.normals(x, y)
-    on_the_way = np.linspace(0.03, 0.96, 40)[:, None]
+    on_the_way = np.linspace(0.03, 0.96, 32)[:, None]
     density = np.empty((len(eyes), len(targets)))
     for row, eye in enumerate(eyes):
         ray = targets - eye
