@@ -313,6 +313,9 @@ def test_photogrammetry_is_even_and_sees_nothing_below_the_eaves(site):
     # Beside the long walls: 0.1 to 0.8 m away is under the eaves, which end 1.4 m away.
     beside = (np.abs(local[:, 0]) < 5.0) & (np.abs(np.abs(local[:, 1]) - office.half_m[1] - 0.5) < 0.35)
     assert np.count_nonzero(beside & (np.abs(local[:, 2]) < 1.5)) == 0
+    # Nor is there a curtain from the eaves down to the ground.
+    curtain = (np.abs(local[:, 0]) < 5.0) & (np.abs(np.abs(local[:, 1]) - office.half_m[1] - 1.6) < 0.7)
+    assert np.count_nonzero(curtain & (np.abs(local[:, 2]) < 0.6)) < 5
     # The walls are seen by the oblique cameras, but not right below the eaves.
     on_wall = (np.abs(local[:, 0]) < 5.0) & (np.abs(np.abs(local[:, 1]) - office.half_m[1]) < 0.3)
     assert np.count_nonzero(on_wall & (np.abs(local[:, 2] + 1.0) < 0.7)) > 30
