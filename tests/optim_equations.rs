@@ -86,7 +86,8 @@ fn rastrigin_and_griewank_are_solved_and_ackley_to_the_last_bit() {
 
 #[test]
 fn calls_are_counted_one_by_one_and_are_as_many_as_the_rules_make() {
-    // The published program makes 1 % more: it also moves after its last look at the hawks.
+    // The published program makes more: it asks again for values that it knows, and it moves the
+    // hawks once more after its last look at them.
     for (options, low, high) in [
         (HawkOptions::hho(), 3200.0, 3800.0),
         (HawkOptions::tmchho(), 3550.0, 5500.0),
@@ -169,6 +170,9 @@ fn a_search_with_a_limit_makes_exactly_that_many_calls_and_forgets_none() {
             assert_eq!(found.stop_reason, StopReason::MaxEvaluations);
             assert!(found.population.iter().all(|x| bounds.contains(x)));
             assert_eq!(found.population.len(), found.population_fitness.len());
+            for (x, fitness) in found.population.iter().zip(&found.population_fitness) {
+                assert!(*fitness == f64::INFINITY || *fitness == (f.evaluate)(x));
+            }
             if max_evaluations <= 30 {
                 assert_eq!(found.fun, *best_seen.lock().unwrap());
             }
