@@ -455,6 +455,7 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
         ("n_scanner_points", -5),
         ("n_scanner_points", True),
         ("stations", 0),
+        ("stations", True),
         ("stations", [[1e6, 0.0]]),
         ("stations", [[0.0, 0.0, 0.0]]),
         ("stations", "three"),

@@ -9,9 +9,10 @@ from tmchho.simulate.ground import Area, Ground
 from tmchho.simulate.materials import Material
 from tmchho.simulate.pair import SimulatedPair, make_pair, random_pose
 from tmchho.simulate.photogrammetry import survey_photogrammetry
-from tmchho.simulate.scanner import place_stations, survey_scanner
+from tmchho.simulate.scanner import survey_scanner
 from tmchho.simulate.site import Site, make_site
 from tmchho.simulate.solids import Solid
+from tmchho.simulate.stations import place_stations
 
 __all__ = [
     "Area",
