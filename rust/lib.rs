@@ -18,6 +18,7 @@ pub mod normals;
 pub mod optim;
 pub mod point_to_plane;
 pub mod spacing;
+pub mod surface_cloud;
 
 // Floor 2: stages, in the order of the data.
 pub mod coarse;
