@@ -74,7 +74,7 @@ const FIRST: Shrinking = Shrinking { first: 0.2, last: 0.06, n_steps: 6 };
 const SECOND: Shrinking = Shrinking { first: 0.1, last: 0.04, n_steps: 9 };
 const REFINE_POINTS: Shrinking = Shrinking { first: 0.06, last: 0.03, n_steps: 10 };
 const REFINE_PLANES: Shrinking = Shrinking { first: 0.03, last: 0.015, n_steps: 7 };
-const REFINE_EXACTLY: Shrinking = Shrinking { first: 0.015, last: 0.006, n_steps: 12 };
+const REFINE_EXACTLY: Shrinking = Shrinking { first: 0.02, last: 0.006, n_steps: 20 };
 
 /// Truncation of the cost that ranks the first descents, and the second ones.
 const FIRST_TRUNCATION: f64 = 0.06;
