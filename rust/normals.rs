@@ -181,11 +181,9 @@ impl Symmetric {
                 o[r] = 0.0;
                 // o[q] stands between r and p, o[p] between r and q.
                 (o[q], o[p]) = (cosine * o[q] - sine * o[p], sine * o[q] + cosine * o[p]);
-                for axis in 0..3 {
-                    let (a, b) = (vectors[p][axis], vectors[q][axis]);
-                    vectors[p][axis] = cosine * a - sine * b;
-                    vectors[q][axis] = sine * a + cosine * b;
-                }
+                let (a, b) = (vectors[p], vectors[q]);
+                vectors[p] = std::array::from_fn(|axis| cosine * a[axis] - sine * b[axis]);
+                vectors[q] = std::array::from_fn(|axis| sine * a[axis] + cosine * b[axis]);
             }
         }
         let mut order = [0, 1, 2];

@@ -62,6 +62,11 @@ pub(crate) fn both<A: Send, B: Send>(
     rayon::join(a, b)
 }
 
+/// Sorts; elements that are equal may change places.
+pub(crate) fn sort_unstable<T: Ord + Send>(items: &mut [T]) {
+    items.par_sort_unstable();
+}
+
 /// Runs `work` with `n_threads` threads; `None` takes the machine's (or `RAYON_NUM_THREADS`).
 ///
 /// # Errors
@@ -102,6 +107,15 @@ mod tests {
     #[test]
     fn both_results_come_back_in_their_places() {
         assert_eq!(both(|| 1 + 1, || "two"), (2, "two"));
+    }
+
+    #[test]
+    fn a_long_list_is_sorted() {
+        let mut items: Vec<u32> = (0..100_000_u32)
+            .map(|i| i.wrapping_mul(2_654_435_761))
+            .collect();
+        sort_unstable(&mut items);
+        assert!(items.is_sorted());
     }
 
     #[test]
