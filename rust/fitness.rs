@@ -147,6 +147,7 @@ fn curvature_weight(curvature: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::Cloud;
     use crate::progress::Progress;
     use crate::random::Stream;
 
@@ -156,6 +157,10 @@ mod tests {
             .map(|_| [stream.uniform(), stream.uniform()])
             .map(|[x, y]| [x, y, 0.2 * (9.0 * x).sin() * (7.0 * y).cos()])
             .collect()
+    }
+
+    fn surfaces(points: &[Point]) -> SurfaceCloud {
+        SurfaceCloud::new(&Cloud::new(points).unwrap(), 0, &Progress::silent()).unwrap()
     }
 
     #[test]
@@ -170,7 +175,7 @@ mod tests {
 
     #[test]
     fn a_cloud_agrees_with_itself_and_not_with_itself_far_away() {
-        let cloud = SurfaceCloud::new(&bumpy(800, 3), &Progress::silent()).unwrap();
+        let cloud = surfaces(&bumpy(800, 3));
         let sample = Sample {
             n_moving: 800,
             n_fixed: 800,
@@ -188,9 +193,9 @@ mod tests {
         let whole = bumpy(1000, 4);
         let half: Vec<Point> = whole.iter().copied().filter(|p| p[0] < 0.5).collect();
         let (n_moving, n_fixed) = (half.len(), whole.len());
-        let moving = SurfaceCloud::new(&half, &Progress::silent()).unwrap();
-        let fixed = SurfaceCloud::new(&whole, &Progress::silent()).unwrap();
-        let found = agreement(&moving, &fixed, &Rigid::identity(), 1e-9, Sample { n_moving, n_fixed });
+        let (moving, fixed) = (surfaces(&half), surfaces(&whole));
+        let as_given = Rigid::identity().between_local_coordinates(moving.origin, fixed.origin);
+        let found = agreement(&moving, &fixed, &as_given, 1e-9, Sample { n_moving, n_fixed });
         assert_eq!(found.overlap_of_moving, 1.0);
         assert_eq!(found.overlap_of_fixed, n_moving as f64 / n_fixed as f64);
     }

@@ -17,6 +17,15 @@ pub(super) struct Shrinking {
 }
 
 impl Shrinking {
+    /// The same in a unit of that length.
+    pub(super) fn times(&self, unit_m: f64) -> Self {
+        Self {
+            first: self.first * unit_m,
+            last: self.last * unit_m,
+            n_steps: self.n_steps,
+        }
+    }
+
     fn at(&self, step: usize) -> f64 {
         if self.n_steps < 2 {
             return self.last;

@@ -7,11 +7,11 @@
 //! Absent on purpose: the verdict; this stage reports figures and judges nobody.
 
 mod descent;
-// mod paper;
+mod paper;
 mod robust;
 mod starts;
 
-// pub use paper::{PaperBox, PaperSearchOptions, search_paper};
+pub use paper::{PaperBox, PaperSearchOptions, search_paper};
 pub use robust::{RobustSearchOptions, search_robust};
 
 use crate::rigid::Rigid;

@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 use super::descent::{self, Shrinking};
 use super::starts;
 use super::{Candidate, CoarseResult, differ};
-use crate::cloud::{Cloud, Point, centroid};
+use crate::cloud::Point;
 use crate::distance_field::NearestGrid;
-use crate::error::{Error, Result, require_at_least};
+use crate::error::{Error, Result, require_at_least, require_positive};
 use crate::fitness::{Agreement, Sample, agreement};
 use crate::parallel;
 use crate::progress::{Event, Progress, Stage};
@@ -100,25 +100,29 @@ const N_PLACES_FROM: usize = 4000;
 pub(crate) const STANDING_OUT_RATIO: f64 = 1.75;
 pub(crate) const STANDING_OUT_SHARE: f64 = 0.30;
 
-/// Finds the pose of `source` in `target`. Both should be voxel-uniform, with the same voxel.
+/// Finds the pose of `source` in `target`. Both should be voxel-uniform, with the same voxel;
+/// `unit_m` is the length that all lengths of the search are shares of: the diagonal of the smaller
+/// cloud.
 ///
 /// # Errors
-/// [`Error::NoSolution`] where no start led anywhere; [`Error::Cancelled`].
+/// [`Error::InvalidArgument`] for options out of range; [`Error::NoSolution`] where no start led
+/// anywhere; [`Error::Cancelled`].
 pub fn search_robust(
-    source: &Cloud,
-    target: &Cloud,
+    source: &SurfaceCloud,
+    target: &SurfaceCloud,
+    unit_m: f64,
     options: &RobustSearchOptions,
     seed: u64,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
     options.check()?;
+    require_positive("unit_m", unit_m)?;
     let source_moves = source.len() <= target.len();
     let (moving, fixed) = if source_moves { (source, target) } else { (target, source) };
-    let frame = Frame::new(moving, fixed);
-    let mut search = Search::new(frame, moving, fixed, seed, progress)?;
+    let mut search = Search::new(moving, fixed, unit_m, seed)?;
     // The pose that the files already have is always among the candidates.
-    let as_given = Rigid::identity().between_local_coordinates(moving.origin(), fixed.origin());
-    let mut given = vec![search.frame.to_unit(&as_given), Rigid::identity()];
+    let as_given = Rigid::identity().between_local_coordinates(moving.origin, fixed.origin);
+    let mut given = vec![as_given, Rigid::identity()];
     for (round, n_rotations) in options.rotations_per_round.iter().enumerate() {
         let mut poses = search.descend(round, *n_rotations, progress)?;
         poses.truncate(options.n_verified);
@@ -131,59 +135,6 @@ pub fn search_robust(
     search.finish(source_moves)
 }
 
-/// Moves both clouds to their centroids and measures lengths in the moving cloud's diagonal.
-struct Frame {
-    unit_m: f64,
-    moving_middle: Point,
-    fixed_middle: Point,
-}
-
-impl Frame {
-    fn new(moving: &Cloud, fixed: &Cloud) -> Self {
-        Self {
-            unit_m: moving.diagonal_m(),
-            moving_middle: centroid(moving.points()),
-            fixed_middle: centroid(fixed.points()),
-        }
-    }
-
-    fn points(&self, cloud: &Cloud, middle: Point, order: &[usize]) -> Vec<Point> {
-        let points = cloud.points();
-        order
-            .iter()
-            .map(|&i| std::array::from_fn(|axis| (points[i][axis] - middle[axis]) / self.unit_m))
-            .collect()
-    }
-
-    fn to_unit(&self, pose: &Rigid) -> Rigid {
-        pose.between_local_coordinates(self.moving_middle.map(|v| -v), self.fixed_middle.map(|v| -v))
-            .in_unit(1.0 / self.unit_m)
-    }
-
-    fn to_metres(&self, pose: &Rigid) -> Rigid {
-        pose.in_unit(self.unit_m).between_given_coordinates(self.moving_middle, self.fixed_middle)
-    }
-}
-
-struct Side {
-    cloud: SurfaceCloud,
-    grid: NearestGrid,
-}
-
-impl Side {
-    fn new(points: &[Point], progress: &Progress<'_>) -> Result<Self> {
-        let grid = NearestGrid::new(points, CELL, GRID_MARGIN, MAX_CELLS).ok_or_else(|| {
-            Error::NoSolution { reason: "a cloud without points has no pose".into() }
-        })?;
-        Ok(Self { cloud: SurfaceCloud::new(points, progress)?, grid })
-    }
-
-    /// The first `n` points: a random sample, because the points are in random order.
-    fn sample(&self, n: usize) -> &[Point] {
-        &self.cloud.points()[..n.min(self.cloud.len())]
-    }
-}
-
 struct Verified {
     pose: Rigid,
     agreement: Agreement,
@@ -191,28 +142,32 @@ struct Verified {
     is_final: bool,
 }
 
-struct Search {
-    frame: Frame,
-    moving: Side,
-    fixed: Side,
+struct Search<'a> {
+    moving: &'a SurfaceCloud,
+    fixed: &'a SurfaceCloud,
+    moving_grid: NearestGrid,
+    fixed_grid: NearestGrid,
+    unit_m: f64,
     seed: u64,
-    /// Verified poses, in the unit frame.
     verified: Vec<Verified>,
     history: Vec<f64>,
     n_evaluations: usize,
     n_rounds: usize,
 }
 
-impl Search {
-    fn new(frame: Frame, moving: &Cloud, fixed: &Cloud, seed: u64, progress: &Progress<'_>) -> Result<Self> {
-        let side = |cloud: &Cloud, middle: Point, purpose: &str| {
-            let order = Stream::new(seed, purpose, 0).sample_indices(cloud.len(), cloud.len());
-            Side::new(&frame.points(cloud, middle, &order), progress)
+impl<'a> Search<'a> {
+    fn new(moving: &'a SurfaceCloud, fixed: &'a SurfaceCloud, unit_m: f64, seed: u64) -> Result<Self> {
+        let grid = |cloud: &SurfaceCloud| {
+            NearestGrid::new(cloud.points(), CELL * unit_m, GRID_MARGIN * unit_m, MAX_CELLS).ok_or_else(
+                || Error::NoSolution { reason: "a cloud without points has no pose".into() },
+            )
         };
         Ok(Self {
-            moving: side(moving, frame.moving_middle, "order of the moving cloud")?,
-            fixed: side(fixed, frame.fixed_middle, "order of the fixed cloud")?,
-            frame,
+            moving,
+            fixed,
+            moving_grid: grid(moving)?,
+            fixed_grid: grid(fixed)?,
+            unit_m,
             seed,
             verified: Vec::new(),
             history: Vec::new(),
@@ -223,7 +178,7 @@ impl Search {
 
     /// The points of both clouds at the density at which `n_moving` sample the moving one.
     fn sample(&self, n_moving: usize) -> Sample {
-        let (n_all, n_fixed) = (self.moving.cloud.len(), self.fixed.cloud.len());
+        let (n_all, n_fixed) = (self.moving.len(), self.fixed.len());
         let n_moving = n_moving.min(n_all);
         Sample { n_moving, n_fixed: (n_fixed * n_moving).div_ceil(n_all) }
     }
@@ -231,11 +186,11 @@ impl Search {
     /// One round of starts, down to distinct basins, best first.
     fn descend(&mut self, round: usize, n_rotations: usize, progress: &Progress<'_>) -> Result<Vec<Rigid>> {
         self.n_rounds = round + 1;
-        let seed = self.seed;
+        let (seed, unit_m) = (self.seed, self.unit_m);
         let round_index = round as u64;
         let rotations = starts::rotations(n_rotations, &mut Stream::new(seed, "rotations", round_index));
         let pitch = PITCH[round.min(PITCH.len() - 1)];
-        let places = starts::anchors(self.fixed.sample(N_PLACES_FROM), pitch, REACH);
+        let places = starts::anchors(self.fixed.sample(N_PLACES_FROM), pitch * unit_m, REACH * unit_m);
         let n_starts = rotations.len() * places.len();
         let few = self.moving.sample(N_FIRST);
         let first = parallel::map_cheap(n_starts, progress, |i| {
@@ -243,30 +198,30 @@ impl Search {
             let place = places[i / rotations.len()];
             let start = Rigid {
                 rotation: rotations[i % rotations.len()],
-                translation: place.map(|v| v + JITTER * stream.normal()).into(),
+                translation: place.map(|v| v + JITTER * unit_m * stream.normal()).into(),
             };
-            let pose = descent::to_points(few, &self.fixed.grid, start, FIRST);
-            Scored { cost: descent::truncated_cost(few, &self.fixed.grid, &pose, FIRST_TRUNCATION), pose }
+            let pose = descent::to_points(few, &self.fixed_grid, start, FIRST.times(unit_m));
+            Scored { cost: descent::truncated_cost(few, &self.fixed_grid, &pose, FIRST_TRUNCATION * unit_m), pose }
         })?;
-        let shortlist = distinct(first, N_SHORTLIST);
+        let shortlist = distinct(first, N_SHORTLIST, SAME_BASIN * unit_m);
         let some = self.sample(N_SECOND);
         let (some_moving, some_fixed) = (self.moving.sample(some.n_moving), self.fixed.sample(some.n_fixed));
         let second = parallel::map(shortlist.len(), |i| {
-            let pose = descent::to_points(some_moving, &self.fixed.grid, shortlist[i].pose, SECOND);
-            let forth = descent::truncated_cost(some_moving, &self.fixed.grid, &pose, SECOND_TRUNCATION);
+            let pose = descent::to_points(some_moving, &self.fixed_grid, shortlist[i].pose, SECOND.times(unit_m));
+            let forth = descent::truncated_cost(some_moving, &self.fixed_grid, &pose, SECOND_TRUNCATION * unit_m);
             let back = self.missed_share(some_fixed, &pose, some.n_moving);
             Scored { cost: forth + back, pose }
         });
         self.n_evaluations += n_starts * (FIRST.n_steps + 1) + second.len() * (SECOND.n_steps + 2);
-        Ok(distinct(second, usize::MAX).into_iter().map(|s| s.pose).collect())
+        Ok(distinct(second, usize::MAX, SAME_BASIN * unit_m).into_iter().map(|s| s.pose).collect())
     }
 
     /// The way back of the symmetric cost: how much of the moving cloud's size in fixed points
     /// finds no partner. A fixed cloud larger than the moving one is not blamed for the rest.
     fn missed_share(&self, fixed: &[Point], pose: &Rigid, n_moving: usize) -> f64 {
         let back = pose.inverse();
-        let max_sq = SECOND_TRUNCATION * SECOND_TRUNCATION;
-        let grid = &self.moving.grid;
+        let max_sq = (SECOND_TRUNCATION * self.unit_m).powi(2);
+        let grid = &self.moving_grid;
         let found: f64 = fixed
             .iter()
             .map(|p| back.apply(p))
@@ -279,15 +234,14 @@ impl Search {
     /// Refines `poses`, counts the agreement at each, and refines the best of all rounds further.
     fn verify(&mut self, poses: &[Rigid], progress: &Progress<'_>) -> Result<()> {
         let sample = self.sample(N_VERIFIED);
-        let (moving, fixed) = (&self.moving, &self.fixed);
-        let points = moving.sample(N_REFINED);
-        let surfaces = &moving.cloud.surfaces;
+        let points = self.moving.sample(N_REFINED);
+        let (surfaces, grid, unit_m) = (&self.moving.surfaces, &self.fixed_grid, self.unit_m);
         let refined = parallel::map(poses.len(), |i| {
             progress.check()?;
-            let pose = descent::to_points(points, &fixed.grid, poses[i], REFINE_POINTS);
-            let pose = descent::to_planes_on_grid(points, surfaces, &fixed.grid, pose, REFINE_PLANES);
-            let agreement = agreement(&moving.cloud, &fixed.cloud, &pose, VERIFY_DISTANCE, sample);
-            Ok(Verified { pose, agreement, is_final: false })
+            let pose = descent::to_points(points, grid, poses[i], REFINE_POINTS.times(unit_m));
+            let pose =
+                descent::to_planes_on_grid(points, surfaces, grid, pose, REFINE_PLANES.times(unit_m));
+            Ok(self.verified(pose, sample, false))
         });
         let mut n_done = 0;
         for verified in refined {
@@ -326,16 +280,17 @@ impl Search {
             if leaders.is_empty() {
                 break;
             }
-            let (moving, fixed) = (&self.moving, &self.fixed);
-            let points = moving.sample(N_VERIFIED);
+            let points = self.moving.sample(N_VERIFIED);
             let finished = parallel::map(leaders.len(), |i| {
                 progress.check()?;
-                let (surfaces, index) = (&moving.cloud.surfaces, &fixed.cloud.index);
-                let pose =
-                    descent::to_planes_exactly(points, surfaces, index, leaders[i], REFINE_EXACTLY);
-                let agreement =
-                    agreement(&moving.cloud, &fixed.cloud, &pose, VERIFY_DISTANCE, sample);
-                Ok(Verified { pose, agreement, is_final: true })
+                let pose = descent::to_planes_exactly(
+                    points,
+                    &self.moving.surfaces,
+                    &self.fixed.index,
+                    leaders[i],
+                    REFINE_EXACTLY.times(self.unit_m),
+                );
+                Ok(self.verified(pose, sample, true))
             });
             self.n_evaluations += leaders.len() * (REFINE_EXACTLY.n_steps + 1);
             // What was refined replaces what it was refined from.
@@ -346,6 +301,12 @@ impl Search {
             self.rank();
         }
         Ok(())
+    }
+
+    fn verified(&self, pose: Rigid, sample: Sample, is_final: bool) -> Verified {
+        let distance = VERIFY_DISTANCE * self.unit_m;
+        let agreement = agreement(self.moving, self.fixed, &pose, distance, sample);
+        Verified { pose, agreement, is_final }
     }
 
     fn rank(&mut self) {
@@ -360,7 +321,7 @@ impl Search {
     fn distinct_verified(&self) -> impl Iterator<Item = &Verified> {
         let mut kept: Vec<&Verified> = Vec::new();
         for verified in &self.verified {
-            if kept.iter().all(|k| differ(&k.pose, &verified.pose, SAME_POSE_RAD, SAME_POSE)) {
+            if kept.iter().all(|k| differ(&k.pose, &verified.pose, SAME_POSE_RAD, SAME_POSE * self.unit_m)) {
                 kept.push(verified);
             }
         }
@@ -389,12 +350,11 @@ impl Search {
             .filter(|v| v.agreement.score > 0.0)
             .take(MAX_CANDIDATES)
             .map(|v| {
-                let fixed_from_moving = self.frame.to_metres(&v.pose);
                 Candidate {
                     target_from_source: if source_moves {
-                        fixed_from_moving
+                        v.pose
                     } else {
-                        fixed_from_moving.inverse()
+                        v.pose.inverse()
                     },
                     score: v.agreement.score,
                     inlier_share: v.agreement.inlier_share,
@@ -416,7 +376,7 @@ impl Search {
             n_evaluations: self.n_evaluations,
             history: self.history,
             n_rounds: self.n_rounds,
-            unit_m: self.frame.unit_m,
+            unit_m: self.unit_m,
         })
     }
 }
@@ -426,8 +386,8 @@ struct Scored {
     pose: Rigid,
 }
 
-/// The best of each basin, best first, at most `max`.
-fn distinct(mut scored: Vec<Scored>, max: usize) -> Vec<Scored> {
+/// The best of each basin, best first, at most `max`; basins are a distance or an angle apart.
+fn distinct(mut scored: Vec<Scored>, max: usize, distance: f64) -> Vec<Scored> {
     // A stable sort: of equals the first one wins, whatever the number of threads.
     scored.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let mut kept: Vec<Scored> = Vec::new();
@@ -435,7 +395,7 @@ fn distinct(mut scored: Vec<Scored>, max: usize) -> Vec<Scored> {
         if kept.len() == max {
             break;
         }
-        if kept.iter().all(|k| differ(&k.pose, &candidate.pose, SAME_BASIN_RAD, SAME_BASIN)) {
+        if kept.iter().all(|k| differ(&k.pose, &candidate.pose, SAME_BASIN_RAD, distance)) {
             kept.push(candidate);
         }
     }
