@@ -7,8 +7,9 @@
 //! region is unknown before registration; the symmetric share is ours.
 //! Absent on purpose: any search.
 
-use crate::cloud::Point;
+use crate::cloud::{Point, distance_sq};
 use crate::neighbors::NeighborIndex;
+use crate::point_to_plane::PlaneSums;
 use crate::rigid::Rigid;
 use crate::surface_cloud::SurfaceCloud;
 
@@ -47,7 +48,7 @@ pub fn rms_below(source: &[Point], target: &NeighborIndex, pose: &Rigid, limit: 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Agreement {
     /// Points of both clouds with a partner within the distance and with an agreeing normal, by
-    /// twice the number of moving points; 0 to about 1.
+    /// twice the number of points of the smaller cloud; 0 to about 1.
     pub inlier_share: f64,
     /// The same with every point weighted by the curvature of its surface: planes, which agree
     /// anywhere along themselves, count little. Compares poses of one pair of clouds.
@@ -56,6 +57,8 @@ pub struct Agreement {
     pub overlap_of_moving: f64,
     /// Share of the fixed points with a partner, whatever its normal.
     pub overlap_of_fixed: f64,
+    /// Number of moving points with a partner, whatever its normal.
+    pub n_moving_with_partner: usize,
     /// Root mean squared distance of the moving points that have a partner; 0 where none has.
     pub inlier_rmse: f64,
 }
@@ -82,14 +85,70 @@ pub fn agreement(
     let n_moving = sample.n_moving.min(moving.len());
     let n_fixed = sample.n_fixed.min(fixed.len());
     let forth = count(moving, fixed, pose, max_sq, max_distance, n_moving);
-    let back = count(fixed, moving, &pose.inverse(), max_sq, max_distance, n_fixed);
+    let back = count(
+        fixed,
+        moving,
+        &pose.inverse(),
+        max_sq,
+        max_distance,
+        n_fixed,
+    );
     let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
+    let (n_smaller, weight_of_smaller) = if n_moving <= n_fixed {
+        (n_moving, forth.weight)
+    } else {
+        (n_fixed, back.weight)
+    };
     Agreement {
-        inlier_share: share(forth.n_inliers + back.n_inliers, 2.0 * n_moving as f64),
-        score: share(forth.inlier_weight + back.inlier_weight, 2.0 * forth.weight),
+        inlier_share: share(forth.n_inliers + back.n_inliers, 2.0 * n_smaller as f64),
+        score: share(
+            forth.inlier_weight + back.inlier_weight,
+            2.0 * weight_of_smaller,
+        ),
         overlap_of_moving: share(forth.n_near, n_moving as f64),
         overlap_of_fixed: share(back.n_near, n_fixed as f64),
+        n_moving_with_partner: forth.n_near as usize,
         inlier_rmse: share(forth.near_sq, forth.n_near).sqrt(),
+    }
+}
+
+/// How firmly the common surface holds the pose: the point-to-plane information matrix about the
+/// middle of the moving points that have a partner, and their mean distance from that middle.
+#[derive(Debug, Clone, Copy)]
+pub struct Hold {
+    /// The normal equations.
+    pub planes: PlaneSums,
+    /// Root mean squared distance of the points from their middle.
+    pub radius_m: f64,
+}
+
+/// Sums up what holds `moving` on `fixed` at `pose`, over partners within `max_distance`.
+pub fn hold(moving: &SurfaceCloud, fixed: &SurfaceCloud, pose: &Rigid, max_distance: f64) -> Hold {
+    let max_sq = max_distance * max_distance;
+    let held: Vec<(Point, Point)> = moving
+        .points()
+        .iter()
+        .map(|p| pose.apply(p))
+        .filter_map(|p| {
+            let partner = fixed.index.nearest_within(&p, max_sq)?;
+            Some((p, fixed.surfaces[partner.index as usize].normal))
+        })
+        .collect();
+    let n = held.len().max(1) as f64;
+    let mut middle = [0.0; 3];
+    for (p, _) in &held {
+        (0..3).for_each(|axis| middle[axis] += p[axis] / n);
+    }
+    let mut planes = PlaneSums::default();
+    let mut squared = 0.0;
+    for (p, normal) in &held {
+        let about = std::array::from_fn(|axis| p[axis] - middle[axis]);
+        planes.add(&about, &about, normal, 1.0);
+        squared += distance_sq(p, &middle);
+    }
+    Hold {
+        planes,
+        radius_m: (squared / n).sqrt(),
     }
 }
 
@@ -170,7 +229,10 @@ mod tests {
         let pose = Rigid::from_euler([0.1, 0.2, 0.3], [0.1, 0.0, 0.0]);
         let exact = rms(&source, &target, &pose);
         assert_eq!(rms_below(&source, &target, &pose, exact * 1.01), exact);
-        assert_eq!(rms_below(&source, &target, &pose, exact * 0.5), f64::INFINITY);
+        assert_eq!(
+            rms_below(&source, &target, &pose, exact * 0.5),
+            f64::INFINITY
+        );
     }
 
     #[test]
@@ -185,7 +247,10 @@ mod tests {
         assert_eq!(here.inlier_rmse, 0.0);
         let away = Rigid::from_euler([0.0; 3], [10.0, 0.0, 0.0]);
         let there = agreement(&cloud, &cloud, &away, 0.01, sample);
-        assert_eq!((there.inlier_share, there.score, there.overlap_of_fixed), (0.0, 0.0, 0.0));
+        assert_eq!(
+            (there.inlier_share, there.score, there.overlap_of_fixed),
+            (0.0, 0.0, 0.0)
+        );
     }
 
     #[test]
@@ -195,7 +260,13 @@ mod tests {
         let (n_moving, n_fixed) = (half.len(), whole.len());
         let (moving, fixed) = (surfaces(&half), surfaces(&whole));
         let as_given = Rigid::identity().between_local_coordinates(moving.origin, fixed.origin);
-        let found = agreement(&moving, &fixed, &as_given, 1e-9, Sample { n_moving, n_fixed });
+        let found = agreement(
+            &moving,
+            &fixed,
+            &as_given,
+            1e-9,
+            Sample { n_moving, n_fixed },
+        );
         assert_eq!(found.overlap_of_moving, 1.0);
         assert_eq!(found.overlap_of_fixed, n_moving as f64 / n_fixed as f64);
     }

@@ -10,7 +10,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::cloud::Point;
+use crate::cloud::{Point, distance_sq};
 use crate::error::{Error, Result, require_at_least, require_between, require_positive};
 use crate::kabsch::PairSums;
 use crate::neighbors::NeighborIndex;
@@ -137,10 +137,23 @@ pub fn icp(
     if method == IcpMethod::PointToPlane && target_surfaces.len() != target.len() {
         return Err(Error::argument(
             "target_surfaces",
-            format!("must be one for each of {} points, got {}", target.len(), target_surfaces.len()),
+            format!(
+                "must be one for each of {} points, got {}",
+                target.len(),
+                target_surfaces.len()
+            ),
         ));
     }
-    let least_pairs = if method == IcpMethod::PointToPlane { 6 } else { 3 };
+    let reach_m = source
+        .iter()
+        .map(|p| distance_sq(p, &[0.0; 3]))
+        .fold(0.0, f64::max)
+        .sqrt();
+    let least_pairs = if method == IcpMethod::PointToPlane {
+        6
+    } else {
+        3
+    };
     let mut result = IcpResult {
         target_from_source: *start,
         stop_reason: IcpStop::MaxIterations,
@@ -178,13 +191,29 @@ pub fn icp(
         })?;
         let change = last.map_or(f64::INFINITY, |last| (last - step.mean_squared).abs());
         if step.mean_squared == 0.0
-            || change <= options.relative_tolerance * last.unwrap_or(f64::INFINITY)
+            || change <= options.relative_tolerance * step.mean_squared
+            || moved_by(&pose, &step.pose, reach_m)
+                <= (MOTION_TOLERANCE * result.inlier_rmse_m).max(ROUNDING * reach_m)
         {
             result.stop_reason = IcpStop::Converged;
             break;
         }
     }
     Ok(result)
+}
+
+/// With trimmed pairs the mean distance never quite settles; a step that moves no point by more than
+/// this share of the residual is rest all the same.
+const MOTION_TOLERANCE: f64 = 1e-3;
+/// Steps of this share of the cloud's size are rounding: clouds that match exactly.
+const ROUNDING: f64 = 1e-9;
+
+/// Bound on how far a point within `reach_m` of the source's origin moves between two poses.
+fn moved_by(before: &Rigid, after: &Rigid, reach_m: f64) -> f64 {
+    let step = *after * before.inverse();
+    let turned = step.rotation_angle_rad() * reach_m;
+    let at_origin = after.translation - before.translation;
+    turned + at_origin.norm()
 }
 
 /// The partner of every source point at a pose, and which pairs count.
@@ -215,8 +244,11 @@ impl Pairs {
             };
             found.map_or(NOBODY, |neighbor| (neighbor.index, neighbor.distance_sq))
         })?;
-        let mut distances: Vec<f64> =
-            partners.iter().map(|pair| pair.1).filter(|d| d.is_finite()).collect();
+        let mut distances: Vec<f64> = partners
+            .iter()
+            .map(|pair| pair.1)
+            .filter(|d| d.is_finite())
+            .collect();
         let n_kept = (distances.len() as f64 * options.kept_share).ceil() as usize;
         let max_sq = match n_kept {
             0 => f64::NEG_INFINITY,
@@ -224,7 +256,11 @@ impl Pairs {
             n => *distances.select_nth_unstable_by(n - 1, f64::total_cmp).1,
         };
         let n_kept = partners.iter().filter(|pair| pair.1 <= max_sq).count();
-        Ok(Self { partners, max_sq, n_kept })
+        Ok(Self {
+            partners,
+            max_sq,
+            n_kept,
+        })
     }
 
     fn kept(&self) -> impl Iterator<Item = (usize, usize)> {
@@ -255,9 +291,12 @@ fn step_to_points(source: &[Point], target: &NeighborIndex, pairs: &Pairs) -> Op
     let pose = sums.solve()?;
     let squared = pairs
         .kept()
-        .map(|(i, j)| crate::cloud::distance_sq(&pose.apply(&source[i]), &targets[j]))
+        .map(|(i, j)| distance_sq(&pose.apply(&source[i]), &targets[j]))
         .sum::<f64>();
-    Some(Step { pose, mean_squared: squared / pairs.n_kept as f64 })
+    Some(Step {
+        pose,
+        mean_squared: squared / pairs.n_kept as f64,
+    })
 }
 
 fn step_to_planes(
@@ -269,8 +308,10 @@ fn step_to_planes(
 ) -> Option<Step> {
     let targets = target.points();
     // The step turns about the middle of the pairs, where its linearisation is best.
-    let moved: Vec<(Point, usize)> =
-        pairs.kept().map(|(i, j)| (pose.apply(&source[i]), j)).collect();
+    let moved: Vec<(Point, usize)> = pairs
+        .kept()
+        .map(|(i, j)| (pose.apply(&source[i]), j))
+        .collect();
     let mut middle = [0.0; 3];
     for (p, _) in &moved {
         (0..3).for_each(|axis| middle[axis] += p[axis] / moved.len() as f64);
@@ -287,11 +328,16 @@ fn step_to_planes(
         .iter()
         .map(|(p, j)| {
             let (q, n) = (step.apply(p), &surfaces[*j].normal);
-            let off: f64 = (0..3).map(|axis| (q[axis] - targets[*j][axis]) * n[axis]).sum();
+            let off: f64 = (0..3)
+                .map(|axis| (q[axis] - targets[*j][axis]) * n[axis])
+                .sum();
             off * off
         })
         .sum::<f64>();
-    Some(Step { pose: step * *pose, mean_squared: squared / moved.len() as f64 })
+    Some(Step {
+        pose: step * *pose,
+        mean_squared: squared / moved.len() as f64,
+    })
 }
 
 #[cfg(test)]
@@ -321,7 +367,15 @@ mod tests {
             max_distance_m: (kept_share < 1.0).then_some(0.1),
             ..IcpOptions::default()
         };
-        icp(source, &index, &surfaces, &Rigid::identity(), &options, &Progress::silent()).unwrap()
+        icp(
+            source,
+            &index,
+            &surfaces,
+            &Rigid::identity(),
+            &options,
+            &Progress::silent(),
+        )
+        .unwrap()
     }
 
     #[test]
@@ -331,8 +385,15 @@ mod tests {
         let source: Vec<Point> = target.iter().map(|p| pose.inverse().apply(p)).collect();
         for method in [IcpMethod::PointToPoint, IcpMethod::PointToPlane] {
             let found = run(&source, &target, method, 1.0);
-            assert!((found.target_from_source.rotation - pose.rotation).amax() < 1e-6, "{method:?}");
-            assert!(found.inlier_rmse_m < 1e-6, "{method:?} {}", found.inlier_rmse_m);
+            assert!(
+                (found.target_from_source.rotation - pose.rotation).amax() < 1e-6,
+                "{method:?}"
+            );
+            assert!(
+                found.inlier_rmse_m < 1e-6,
+                "{method:?} {}",
+                found.inlier_rmse_m
+            );
             assert_eq!(found.stop_reason, IcpStop::Converged);
             assert_eq!(found.n_inliers, 2000);
         }
@@ -349,21 +410,48 @@ mod tests {
         assert!(trimmed.target_from_source.rotation_angle_rad() < 0.004);
         assert!(trimmed.target_from_source.translation.norm() < 0.004);
         let plain = run(&source, &target, IcpMethod::PointToPoint, 1.0);
-        assert!(plain.target_from_source.translation.norm() > 0.01, "the paper's ICP drifts");
+        assert!(
+            plain.target_from_source.translation.norm() > 0.01,
+            "the paper's ICP drifts"
+        );
     }
 
     #[test]
     fn clouds_that_do_not_meet_say_so() {
-        let far: Vec<Point> = sheet(100, 1).iter().map(|p| [p[0] + 50.0, p[1], p[2]]).collect();
+        let far: Vec<Point> = sheet(100, 1)
+            .iter()
+            .map(|p| [p[0] + 50.0, p[1], p[2]])
+            .collect();
         let found = run(&far, &sheet(100, 2), IcpMethod::PointToPlane, 0.5);
-        assert_eq!((found.stop_reason, found.n_inliers), (IcpStop::NoPartners, 0));
+        assert_eq!(
+            (found.stop_reason, found.n_inliers),
+            (IcpStop::NoPartners, 0)
+        );
     }
 
     #[test]
     fn options_out_of_range_are_named() {
-        let options = IcpOptions { kept_share: 0.0, ..IcpOptions::default() };
-        assert!(options.check().unwrap_err().to_string().contains("icp.kept_share"));
-        let options = IcpOptions { max_iterations: 0, ..IcpOptions::default() };
-        assert!(options.check().unwrap_err().to_string().contains("icp.max_iterations"));
+        let options = IcpOptions {
+            kept_share: 0.0,
+            ..IcpOptions::default()
+        };
+        assert!(
+            options
+                .check()
+                .unwrap_err()
+                .to_string()
+                .contains("icp.kept_share")
+        );
+        let options = IcpOptions {
+            max_iterations: 0,
+            ..IcpOptions::default()
+        };
+        assert!(
+            options
+                .check()
+                .unwrap_err()
+                .to_string()
+                .contains("icp.max_iterations")
+        );
     }
 }

@@ -49,7 +49,8 @@ pub struct VerdictOptions {
     pub accept_strength: f64,
     /// Reject below this share of inliers, in 0 to 1.
     pub reject_inlier_share: f64,
-    /// Reject below this lead over the best rival; at least 1.
+    /// Below this lead over the best rival another pose is as good; reject then, unless the share of
+    /// inliers would be accepted. At least 1.
     pub reject_ambiguity_ratio: f64,
 }
 
@@ -67,7 +68,12 @@ impl Default for VerdictOptions {
 
 impl VerdictOptions {
     pub(crate) fn check(&self) -> Result<()> {
-        require_between("verdict.accept_inlier_share", self.accept_inlier_share, 0.0, 1.0)?;
+        require_between(
+            "verdict.accept_inlier_share",
+            self.accept_inlier_share,
+            0.0,
+            1.0,
+        )?;
         require_between("verdict.accept_strength", self.accept_strength, 0.0, 1.0)?;
         require_between(
             "verdict.reject_inlier_share",
@@ -77,7 +83,12 @@ impl VerdictOptions {
         )?;
         let ratio = self.accept_ambiguity_ratio;
         require_between("verdict.accept_ambiguity_ratio", ratio, 1.0, f64::MAX)?;
-        require_between("verdict.reject_ambiguity_ratio", self.reject_ambiguity_ratio, 1.0, ratio)?;
+        require_between(
+            "verdict.reject_ambiguity_ratio",
+            self.reject_ambiguity_ratio,
+            1.0,
+            ratio,
+        )?;
         Ok(())
     }
 }
@@ -113,11 +124,13 @@ impl Strength {
     /// then contributes at most about 2 to the trace.
     pub fn new(information: &Matrix6<f64>, weight: f64, radius_m: f64) -> Self {
         if weight.is_nan() || weight <= 0.0 || radius_m.is_nan() || radius_m <= 0.0 {
-            return Self { weakest: 0.0, direction: [0.0; 6] };
+            return Self {
+                weakest: 0.0,
+                direction: [0.0; 6],
+            };
         }
         let scale = |axis: usize| if axis < 3 { 1.0 / radius_m } else { 1.0 };
-        let scaled =
-            Matrix6::from_fn(|r, c| information[(r, c)] * scale(r) * scale(c) / weight);
+        let scaled = Matrix6::from_fn(|r, c| information[(r, c)] * scale(r) * scale(c) / weight);
         let eigen = SymmetricEigen::new(scaled);
         let weakest = eigen.eigenvalues.imin();
         Self {
@@ -163,7 +176,7 @@ pub struct Judgement {
 /// let options = VerdictOptions::default();
 /// assert_eq!(judge(&evidence, &options).verdict, Verdict::Accepted);
 /// let twin_found = Evidence { ambiguity_ratio: 1.02, ..evidence };
-/// assert_eq!(judge(&twin_found, &options).verdict, Verdict::Rejected);
+/// assert_eq!(judge(&twin_found, &options).verdict, Verdict::Review);
 /// ```
 pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
     let mut verdict = Verdict::Accepted;
@@ -203,8 +216,15 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
                 .into(),
         );
     } else if ratio < options.reject_ambiguity_ratio {
+        // Much common surface at two poses is a repeated shape, for a person to settle; little
+        // common surface at two poses is chance.
+        let chance = !(share > options.accept_inlier_share);
         lower(
-            Verdict::Rejected,
+            if chance {
+                Verdict::Rejected
+            } else {
+                Verdict::Review
+            },
             format!(
                 "another pose fits almost as well (the best scores {ratio:.2} times the next): \
                  repeated shapes, too little overlap, or clouds of different places"
@@ -229,7 +249,10 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
         );
     }
     if !evidence.converged {
-        lower(Verdict::Review, "the fine registration did not come to rest".into());
+        lower(
+            Verdict::Review,
+            "the fine registration did not come to rest".into(),
+        );
     }
     if reasons.is_empty() {
         let lead = if ratio.is_finite() {
@@ -254,7 +277,10 @@ mod tests {
         Evidence {
             inlier_share: 0.5,
             ambiguity_ratio: 2.0,
-            strength: Strength { weakest: 0.02, direction: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0] },
+            strength: Strength {
+                weakest: 0.02,
+                direction: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            },
             converged: true,
         }
     }
@@ -268,15 +294,79 @@ mod tests {
         };
         assert_eq!(judged(good()).0, Verdict::Accepted);
         let cases = [
-            (Evidence { inlier_share: 0.25, ..good() }, Verdict::Review, "25 %"),
-            (Evidence { inlier_share: 0.05, ..good() }, Verdict::Rejected, "5 %"),
-            (Evidence { inlier_share: f64::NAN, ..good() }, Verdict::Rejected, "%"),
-            (Evidence { ambiguity_ratio: 1.4, ..good() }, Verdict::Review, "1.40 times"),
-            (Evidence { ambiguity_ratio: 1.0, ..good() }, Verdict::Rejected, "almost as well"),
-            (Evidence { ambiguity_ratio: f64::NAN, ..good() }, Verdict::Review, "paper mode"),
-            (Evidence { converged: false, ..good() }, Verdict::Review, "come to rest"),
             (
-                Evidence { strength: Strength { weakest: 0.0, ..good().strength }, ..good() },
+                Evidence {
+                    inlier_share: 0.25,
+                    ..good()
+                },
+                Verdict::Review,
+                "25 %",
+            ),
+            (
+                Evidence {
+                    inlier_share: 0.05,
+                    ..good()
+                },
+                Verdict::Rejected,
+                "5 %",
+            ),
+            (
+                Evidence {
+                    inlier_share: f64::NAN,
+                    ..good()
+                },
+                Verdict::Rejected,
+                "%",
+            ),
+            (
+                Evidence {
+                    ambiguity_ratio: 1.4,
+                    ..good()
+                },
+                Verdict::Review,
+                "1.40 times",
+            ),
+            (
+                Evidence {
+                    ambiguity_ratio: 1.0,
+                    ..good()
+                },
+                Verdict::Review,
+                "almost as well",
+            ),
+            (
+                Evidence {
+                    ambiguity_ratio: 1.0,
+                    inlier_share: 0.25,
+                    ..good()
+                },
+                Verdict::Rejected,
+                "almost as well",
+            ),
+            (
+                Evidence {
+                    ambiguity_ratio: f64::NAN,
+                    ..good()
+                },
+                Verdict::Review,
+                "paper mode",
+            ),
+            (
+                Evidence {
+                    converged: false,
+                    ..good()
+                },
+                Verdict::Review,
+                "come to rest",
+            ),
+            (
+                Evidence {
+                    strength: Strength {
+                        weakest: 0.0,
+                        ..good().strength
+                    },
+                    ..good()
+                },
                 Verdict::Review,
                 "turning about (1.00, 0.00, 0.00)",
             ),
@@ -287,7 +377,11 @@ mod tests {
             assert!(reasons.contains(words), "{reasons}");
         }
         // A rejection stays one whatever else is wrong.
-        let both = Evidence { inlier_share: 0.05, converged: false, ..good() };
+        let both = Evidence {
+            inlier_share: 0.05,
+            converged: false,
+            ..good()
+        };
         assert_eq!(judged(both).0, Verdict::Rejected);
     }
 
@@ -296,7 +390,10 @@ mod tests {
         let strength = |axes: usize| {
             let (mut sums, mut squared, mut n) = (PlaneSums::default(), 0.0, 0.0);
             for axis in 0..axes {
-                for (side, i) in [-1.0, 1.0].into_iter().flat_map(|s| (0..100).map(move |i| (s, i))) {
+                for (side, i) in [-1.0, 1.0]
+                    .into_iter()
+                    .flat_map(|s| (0..100).map(move |i| (s, i)))
+                {
                     let mut p = [0.0; 3];
                     p[axis] = if axes == 1 { 0.0 } else { side };
                     p[(axis + 1) % 3] = f64::from(i % 10) / 4.5 - 1.0;
@@ -316,7 +413,16 @@ mod tests {
 
     #[test]
     fn thresholds_that_contradict_each_other_are_refused() {
-        let options = VerdictOptions { reject_inlier_share: 0.5, ..VerdictOptions::default() };
-        assert!(options.check().unwrap_err().to_string().contains("reject_inlier_share"));
+        let options = VerdictOptions {
+            reject_inlier_share: 0.5,
+            ..VerdictOptions::default()
+        };
+        assert!(
+            options
+                .check()
+                .unwrap_err()
+                .to_string()
+                .contains("reject_inlier_share")
+        );
     }
 }

@@ -105,7 +105,12 @@ fn to_planes(
             let moved = pose.apply(p);
             if let Some(partner) = partner_of(&moved, max_sq) {
                 let about = |v: &Point| std::array::from_fn(|axis| v[axis] - middle[axis]);
-                sums.add(&about(&moved), &about(&partner), &pose.rotate(&surface.normal), 1.0);
+                sums.add(
+                    &about(&moved),
+                    &about(&partner),
+                    &pose.rotate(&surface.normal),
+                    1.0,
+                );
             }
         }
         let Some(step) = sums.solve() else { break };

@@ -49,7 +49,9 @@ pub struct CoarseResult {
 
 impl CoarseResult {
     /// Share of inliers of the best candidate.
-    pub fn inlier_share(&self) -> f64 { self.candidates[0].inlier_share }
+    pub fn inlier_share(&self) -> f64 {
+        self.candidates[0].inlier_share
+    }
 }
 
 /// Whether two poses of a cloud about its middle differ by more than an angle or a distance.

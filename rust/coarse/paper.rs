@@ -39,6 +39,12 @@ pub struct PaperSearchOptions {
     pub hawks: HawkOptions,
 }
 
+impl PaperSearchOptions {
+    pub(crate) fn check(&self) -> Result<()> {
+        self.hawks.check()
+    }
+}
+
 /// Finds the pose of the `source` keypoints in the `target` keypoints.
 ///
 /// Both are turned and shifted about their centroids, so that the box does not depend on where the
@@ -88,18 +94,20 @@ pub fn search_paper(
             .collect(),
         target: NeighborIndex::new(&about(target, target_middle)),
     };
-    let found = options.hawks.minimize_from(&objective, &search_box, seed, &[], &mut |report| {
-        let event = Event::Advanced {
-            stage: Stage::Coarse,
-            done: report.n_iterations,
-            total: report.max_iterations,
-            best: Some(report.fun),
-        };
-        match progress.emit(&event) {
-            Ok(()) => ControlFlow::Continue(()),
-            Err(_) => ControlFlow::Break(()),
-        }
-    })?;
+    let found = options
+        .hawks
+        .minimize_from(&objective, &search_box, seed, &[], &mut |report| {
+            let event = Event::Advanced {
+                stage: Stage::Coarse,
+                done: report.n_iterations,
+                total: report.max_iterations,
+                best: Some(report.fun),
+            };
+            match progress.emit(&event) {
+                Ok(()) => ControlFlow::Continue(()),
+                Err(_) => ControlFlow::Break(()),
+            }
+        })?;
     progress.check()?;
     Ok(CoarseResult {
         candidates: vec![Candidate {
@@ -146,12 +154,19 @@ mod tests {
             .map(f64::from)
             .map(|t| [(t * 0.7).sin() * 2.0, (t * 1.3).cos(), t * 0.02])
             .collect();
-        let source: Vec<Point> = target.iter().map(|p| [p[1] + 7.0, p[0], p[2] - 3.0]).collect();
+        let source: Vec<Point> = target
+            .iter()
+            .map(|p| [p[1] + 7.0, p[0], p[2] - 3.0])
+            .collect();
         let mut options = PaperSearchOptions::default();
         options.hawks.n_iterations = 20;
         let found = search_paper(&source, &target, &options, 1, &Progress::silent()).unwrap();
         let best = found.candidates[0];
-        let again = crate::fitness::rms(&source, &NeighborIndex::new(&target), &best.target_from_source);
+        let again = crate::fitness::rms(
+            &source,
+            &NeighborIndex::new(&target),
+            &best.target_from_source,
+        );
         assert!((again + best.score).abs() < 1e-12);
         assert_eq!(found.history.len(), 20);
         assert!(search_paper(&[], &target, &options, 1, &Progress::silent()).is_err());

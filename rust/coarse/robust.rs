@@ -44,7 +44,11 @@ impl Default for RobustSearchOptions {
 impl RobustSearchOptions {
     pub(crate) fn check(&self) -> Result<()> {
         let name = "coarse.rotations_per_round";
-        require_at_least(&format!("the length of {name}"), self.rotations_per_round.len(), 1)?;
+        require_at_least(
+            &format!("the length of {name}"),
+            self.rotations_per_round.len(),
+            1,
+        )?;
         for n in &self.rotations_per_round {
             require_at_least(name, *n, 1)?;
         }
@@ -70,11 +74,31 @@ const N_SHORTLIST: usize = 300;
 const N_FINALISTS: usize = 4;
 const MAX_FINISHING_TURNS: usize = 6;
 
-const FIRST: Shrinking = Shrinking { first: 0.2, last: 0.06, n_steps: 6 };
-const SECOND: Shrinking = Shrinking { first: 0.1, last: 0.04, n_steps: 9 };
-const REFINE_POINTS: Shrinking = Shrinking { first: 0.06, last: 0.03, n_steps: 10 };
-const REFINE_PLANES: Shrinking = Shrinking { first: 0.03, last: 0.015, n_steps: 7 };
-const REFINE_EXACTLY: Shrinking = Shrinking { first: 0.02, last: 0.006, n_steps: 20 };
+const FIRST: Shrinking = Shrinking {
+    first: 0.2,
+    last: 0.06,
+    n_steps: 6,
+};
+const SECOND: Shrinking = Shrinking {
+    first: 0.1,
+    last: 0.04,
+    n_steps: 9,
+};
+const REFINE_POINTS: Shrinking = Shrinking {
+    first: 0.06,
+    last: 0.03,
+    n_steps: 10,
+};
+const REFINE_PLANES: Shrinking = Shrinking {
+    first: 0.03,
+    last: 0.015,
+    n_steps: 7,
+};
+const REFINE_EXACTLY: Shrinking = Shrinking {
+    first: 0.02,
+    last: 0.006,
+    n_steps: 20,
+};
 
 /// Truncation of the cost that ranks the first descents, and the second ones.
 const FIRST_TRUNCATION: f64 = 0.06;
@@ -118,7 +142,11 @@ pub fn search_robust(
     options.check()?;
     require_positive("unit_m", unit_m)?;
     let source_moves = source.len() <= target.len();
-    let (moving, fixed) = if source_moves { (source, target) } else { (target, source) };
+    let (moving, fixed) = if source_moves {
+        (source, target)
+    } else {
+        (target, source)
+    };
     let mut search = Search::new(moving, fixed, unit_m, seed)?;
     // The pose that the files already have is always among the candidates.
     let as_given = Rigid::identity().between_local_coordinates(moving.origin, fixed.origin);
@@ -156,11 +184,22 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn new(moving: &'a SurfaceCloud, fixed: &'a SurfaceCloud, unit_m: f64, seed: u64) -> Result<Self> {
+    fn new(
+        moving: &'a SurfaceCloud,
+        fixed: &'a SurfaceCloud,
+        unit_m: f64,
+        seed: u64,
+    ) -> Result<Self> {
         let grid = |cloud: &SurfaceCloud| {
-            NearestGrid::new(cloud.points(), CELL * unit_m, GRID_MARGIN * unit_m, MAX_CELLS).ok_or_else(
-                || Error::NoSolution { reason: "a cloud without points has no pose".into() },
+            NearestGrid::new(
+                cloud.points(),
+                CELL * unit_m,
+                GRID_MARGIN * unit_m,
+                MAX_CELLS,
             )
+            .ok_or_else(|| Error::NoSolution {
+                reason: "a cloud without points has no pose".into(),
+            })
         };
         Ok(Self {
             moving,
@@ -180,17 +219,32 @@ impl<'a> Search<'a> {
     fn sample(&self, n_moving: usize) -> Sample {
         let (n_all, n_fixed) = (self.moving.len(), self.fixed.len());
         let n_moving = n_moving.min(n_all);
-        Sample { n_moving, n_fixed: (n_fixed * n_moving).div_ceil(n_all) }
+        Sample {
+            n_moving,
+            n_fixed: (n_fixed * n_moving).div_ceil(n_all),
+        }
     }
 
     /// One round of starts, down to distinct basins, best first.
-    fn descend(&mut self, round: usize, n_rotations: usize, progress: &Progress<'_>) -> Result<Vec<Rigid>> {
+    fn descend(
+        &mut self,
+        round: usize,
+        n_rotations: usize,
+        progress: &Progress<'_>,
+    ) -> Result<Vec<Rigid>> {
         self.n_rounds = round + 1;
         let (seed, unit_m) = (self.seed, self.unit_m);
         let round_index = round as u64;
-        let rotations = starts::rotations(n_rotations, &mut Stream::new(seed, "rotations", round_index));
+        let rotations = starts::rotations(
+            n_rotations,
+            &mut Stream::new(seed, "rotations", round_index),
+        );
         let pitch = PITCH[round.min(PITCH.len() - 1)];
-        let places = starts::anchors(self.fixed.sample(N_PLACES_FROM), pitch * unit_m, REACH * unit_m);
+        let places = starts::anchors(
+            self.fixed.sample(N_PLACES_FROM),
+            pitch * unit_m,
+            REACH * unit_m,
+        );
         let n_starts = rotations.len() * places.len();
         let few = self.moving.sample(N_FIRST);
         let first = parallel::map_cheap(n_starts, progress, |i| {
@@ -201,19 +255,46 @@ impl<'a> Search<'a> {
                 translation: place.map(|v| v + JITTER * unit_m * stream.normal()).into(),
             };
             let pose = descent::to_points(few, &self.fixed_grid, start, FIRST.times(unit_m));
-            Scored { cost: descent::truncated_cost(few, &self.fixed_grid, &pose, FIRST_TRUNCATION * unit_m), pose }
+            Scored {
+                cost: descent::truncated_cost(
+                    few,
+                    &self.fixed_grid,
+                    &pose,
+                    FIRST_TRUNCATION * unit_m,
+                ),
+                pose,
+            }
         })?;
         let shortlist = distinct(first, N_SHORTLIST, SAME_BASIN * unit_m);
         let some = self.sample(N_SECOND);
-        let (some_moving, some_fixed) = (self.moving.sample(some.n_moving), self.fixed.sample(some.n_fixed));
+        let (some_moving, some_fixed) = (
+            self.moving.sample(some.n_moving),
+            self.fixed.sample(some.n_fixed),
+        );
         let second = parallel::map(shortlist.len(), |i| {
-            let pose = descent::to_points(some_moving, &self.fixed_grid, shortlist[i].pose, SECOND.times(unit_m));
-            let forth = descent::truncated_cost(some_moving, &self.fixed_grid, &pose, SECOND_TRUNCATION * unit_m);
+            let pose = descent::to_points(
+                some_moving,
+                &self.fixed_grid,
+                shortlist[i].pose,
+                SECOND.times(unit_m),
+            );
+            let forth = descent::truncated_cost(
+                some_moving,
+                &self.fixed_grid,
+                &pose,
+                SECOND_TRUNCATION * unit_m,
+            );
             let back = self.missed_share(some_fixed, &pose, some.n_moving);
-            Scored { cost: forth + back, pose }
+            Scored {
+                cost: forth + back,
+                pose,
+            }
         });
         self.n_evaluations += n_starts * (FIRST.n_steps + 1) + second.len() * (SECOND.n_steps + 2);
-        Ok(distinct(second, usize::MAX, SAME_BASIN * unit_m).into_iter().map(|s| s.pose).collect())
+        Ok(distinct(second, usize::MAX, SAME_BASIN * unit_m)
+            .into_iter()
+            .map(|s| s.pose)
+            .collect())
     }
 
     /// The way back of the symmetric cost: how much of the moving cloud's size in fixed points
@@ -239,15 +320,25 @@ impl<'a> Search<'a> {
         let refined = parallel::map(poses.len(), |i| {
             progress.check()?;
             let pose = descent::to_points(points, grid, poses[i], REFINE_POINTS.times(unit_m));
-            let pose =
-                descent::to_planes_on_grid(points, surfaces, grid, pose, REFINE_PLANES.times(unit_m));
+            let pose = descent::to_planes_on_grid(
+                points,
+                surfaces,
+                grid,
+                pose,
+                REFINE_PLANES.times(unit_m),
+            );
             Ok(self.verified(pose, sample, false))
         });
         let mut n_done = 0;
         for verified in refined {
             let verified = verified?;
             n_done += 1;
-            let best = self.history.last().copied().unwrap_or(0.0).max(verified.agreement.score);
+            let best = self
+                .history
+                .last()
+                .copied()
+                .unwrap_or(0.0)
+                .max(verified.agreement.score);
             self.history.push(best);
             self.verified.push(verified);
             progress.emit(&Event::Advanced {
@@ -257,8 +348,7 @@ impl<'a> Search<'a> {
                 best: Some(best),
             })?;
         }
-        self.n_evaluations +=
-            poses.len() * (REFINE_POINTS.n_steps + REFINE_PLANES.n_steps + 1);
+        self.n_evaluations += poses.len() * (REFINE_POINTS.n_steps + REFINE_PLANES.n_steps + 1);
         self.rank();
         self.finish_leaders(progress)?;
         let best = self.best().map_or(0.0, |v| v.agreement.score);
@@ -306,11 +396,16 @@ impl<'a> Search<'a> {
     fn verified(&self, pose: Rigid, sample: Sample, is_final: bool) -> Verified {
         let distance = VERIFY_DISTANCE * self.unit_m;
         let agreement = agreement(self.moving, self.fixed, &pose, distance, sample);
-        Verified { pose, agreement, is_final }
+        Verified {
+            pose,
+            agreement,
+            is_final,
+        }
     }
 
     fn rank(&mut self) {
-        self.verified.sort_by(|a, b| b.agreement.score.total_cmp(&a.agreement.score));
+        self.verified
+            .sort_by(|a, b| b.agreement.score.total_cmp(&a.agreement.score));
     }
 
     fn best(&self) -> Option<&Verified> {
@@ -321,7 +416,14 @@ impl<'a> Search<'a> {
     fn distinct_verified(&self) -> impl Iterator<Item = &Verified> {
         let mut kept: Vec<&Verified> = Vec::new();
         for verified in &self.verified {
-            if kept.iter().all(|k| differ(&k.pose, &verified.pose, SAME_POSE_RAD, SAME_POSE * self.unit_m)) {
+            if kept.iter().all(|k| {
+                differ(
+                    &k.pose,
+                    &verified.pose,
+                    SAME_POSE_RAD,
+                    SAME_POSE * self.unit_m,
+                )
+            }) {
                 kept.push(verified);
             }
         }
@@ -340,7 +442,9 @@ impl<'a> Search<'a> {
 
     fn stands_out(&self) -> bool {
         self.ambiguity_ratio() > STANDING_OUT_RATIO
-            && self.best().is_some_and(|v| v.agreement.inlier_share > STANDING_OUT_SHARE)
+            && self
+                .best()
+                .is_some_and(|v| v.agreement.inlier_share > STANDING_OUT_SHARE)
     }
 
     fn finish(self, source_moves: bool) -> Result<CoarseResult> {
@@ -349,16 +453,14 @@ impl<'a> Search<'a> {
             .distinct_verified()
             .filter(|v| v.agreement.score > 0.0)
             .take(MAX_CANDIDATES)
-            .map(|v| {
-                Candidate {
-                    target_from_source: if source_moves {
-                        v.pose
-                    } else {
-                        v.pose.inverse()
-                    },
-                    score: v.agreement.score,
-                    inlier_share: v.agreement.inlier_share,
-                }
+            .map(|v| Candidate {
+                target_from_source: if source_moves {
+                    v.pose
+                } else {
+                    v.pose.inverse()
+                },
+                score: v.agreement.score,
+                inlier_share: v.agreement.inlier_share,
             })
             .collect();
         if candidates.is_empty() {
@@ -395,7 +497,10 @@ fn distinct(mut scored: Vec<Scored>, max: usize, distance: f64) -> Vec<Scored> {
         if kept.len() == max {
             break;
         }
-        if kept.iter().all(|k| differ(&k.pose, &candidate.pose, SAME_BASIN_RAD, distance)) {
+        if kept
+            .iter()
+            .all(|k| differ(&k.pose, &candidate.pose, SAME_BASIN_RAD, distance))
+        {
             kept.push(candidate);
         }
     }

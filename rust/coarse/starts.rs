@@ -56,7 +56,10 @@ pub(super) fn anchors(fixed_sample: &[Point], pitch: f64, reach: f64) -> Vec<Poi
     let mut kept: Vec<Point> = Vec::new();
     let mut keep = |place: Point| {
         let spacing_sq = (THINNING * pitch).powi(2);
-        if kept.iter().all(|other| distance_sq(other, &place) >= spacing_sq) {
+        if kept
+            .iter()
+            .all(|other| distance_sq(other, &place) >= spacing_sq)
+        {
             kept.push(place);
         }
     };
@@ -87,7 +90,9 @@ mod tests {
         let mut stream = Stream::new(1, "test", 0);
         let starts = rotations(960, &mut stream);
         for _ in 0..200 {
-            let wanted = random_rotation(&mut stream).to_rotation_matrix().into_inner();
+            let wanted = random_rotation(&mut stream)
+                .to_rotation_matrix()
+                .into_inner();
             let nearest = starts
                 .iter()
                 .map(|r| ((r.transpose() * wanted).trace() - 1.0) / 2.0)
@@ -106,7 +111,10 @@ mod tests {
                 .map(|[x, y]| [x, y, 0.0])
                 .collect()
         };
-        let (few, many) = (anchors(&square(0.7), 0.2, 0.4), anchors(&square(2.8), 0.2, 0.4));
+        let (few, many) = (
+            anchors(&square(0.7), 0.2, 0.4),
+            anchors(&square(2.8), 0.2, 0.4),
+        );
         assert!((5..60).contains(&few.len()), "{}", few.len());
         assert!(many.len() > 200, "{}", many.len());
         assert!(anchors(&[], 0.2, 0.4).is_empty());
