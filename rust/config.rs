@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::coarse::{PaperSearchOptions, RobustSearchOptions};
-use crate::error::{Error, Result, require_at_least};
+use crate::error::{Error, Result, require_at_least, require_positive};
 use crate::fuse::FuseOptions;
 use crate::icp::{IcpMethod, IcpOptions};
 use crate::keypoints::{IssOptions, RADIUS_IN_VOXELS};
@@ -91,9 +91,17 @@ impl Config {
         if let Some(n_threads) = self.n_threads {
             require_at_least("n_threads", n_threads, 1)?;
         }
-        self.outliers.check()?;
+        for (name, value) in [
+            ("outliers.radius_m", self.outliers.radius_m),
+            ("keypoints.radius_m", self.keypoints.radius_m),
+            (
+                "keypoints.non_max_radius_m",
+                self.keypoints.non_max_radius_m,
+            ),
+        ] {
+            value.map_or(Ok(()), |value| require_positive(name, value).map(drop))?;
+        }
         self.voxel.check()?;
-        self.keypoints.check()?;
         self.coarse.check()?;
         self.paper.check()?;
         self.icp.check()?;

@@ -49,26 +49,6 @@ impl Default for IssOptions {
     }
 }
 
-impl IssOptions {
-    pub(crate) fn check(&self) -> Result<()> {
-        for (name, value) in [
-            ("keypoints.radius_m", self.radius_m),
-            ("keypoints.non_max_radius_m", self.non_max_radius_m),
-            (
-                "keypoints.max_ratio_second_to_first",
-                Some(self.max_ratio_second_to_first),
-            ),
-            (
-                "keypoints.max_ratio_third_to_second",
-                Some(self.max_ratio_third_to_second),
-            ),
-        ] {
-            value.map_or(Ok(()), |value| require_positive(name, value).map(drop))?;
-        }
-        Ok(())
-    }
-}
-
 /// What the stage found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IssResult {

@@ -39,14 +39,6 @@ impl Default for OutlierOptions {
     }
 }
 
-impl OutlierOptions {
-    pub(crate) fn check(&self) -> Result<()> {
-        self.radius_m.map_or(Ok(()), |radius_m| {
-            require_positive("outliers.radius_m", radius_m).map(drop)
-        })
-    }
-}
-
 /// What the stage left.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OutlierResult {
