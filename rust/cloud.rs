@@ -183,6 +183,24 @@ impl Cloud {
         distance_sq(&low, &high).sqrt()
     }
 
+    /// Diagonal of the box that holds 99 % of the points along each axis: what stray points cannot
+    /// stretch.
+    pub fn robust_diagonal_m(&self) -> f64 {
+        const CUT: f64 = 0.005;
+        let n = self.points.len();
+        if n == 0 {
+            return 0.0;
+        }
+        let cut = (n as f64 * CUT) as usize;
+        let side_sq = |axis: usize| {
+            let mut values: Vec<f64> = self.points.iter().map(|p| p[axis]).collect();
+            let low = *values.select_nth_unstable_by(cut, f64::total_cmp).1;
+            let high = *values.select_nth_unstable_by(n - 1 - cut, f64::total_cmp).1;
+            (high - low) * (high - low)
+        };
+        (0..3).map(side_sq).sum::<f64>().sqrt()
+    }
+
     /// Mean of the points, local.
     pub fn centroid(&self) -> Point {
         centroid(&self.points)

@@ -43,6 +43,14 @@ pub struct FuseOptions {
     pub hole_radius_m: Option<f64>,
 }
 
+impl FuseOptions {
+    pub(crate) fn check(&self) -> Result<()> {
+        self.hole_radius_m.map_or(Ok(()), |radius_m| {
+            require_positive("fuse.hole_radius_m", radius_m).map(drop)
+        })
+    }
+}
+
 /// The cloud that a fused point comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]

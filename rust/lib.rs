@@ -18,6 +18,7 @@ pub mod normals;
 pub mod optim;
 pub mod point_to_plane;
 pub mod spacing;
+pub mod surface_cloud;
 
 // Floor 2: stages, in the order of the data.
 pub mod coarse;
@@ -30,6 +31,12 @@ pub mod outlier;
 pub mod verdict;
 pub mod voxel;
 
+// Floor 3: the route.
+pub mod config;
+pub mod pipeline;
+
 pub use cloud::{Cloud, Point};
+pub use config::Config;
 pub use error::{Error, Result};
+pub use pipeline::{Registration, register};
 pub use rigid::Rigid;

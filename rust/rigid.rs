@@ -173,14 +173,6 @@ impl Rigid {
             }),
         }
     }
-
-    /// Scales the translation: the same motion in another length unit.
-    pub(crate) fn in_unit(&self, factor: f64) -> Self {
-        Self {
-            rotation: self.rotation,
-            translation: self.translation * factor,
-        }
-    }
 }
 
 /// `a * b` applies `b` first.

@@ -24,6 +24,14 @@ pub struct VoxelOptions {
     pub voxel_size_m: Option<f64>,
 }
 
+impl VoxelOptions {
+    pub(crate) fn check(&self) -> Result<()> {
+        self.voxel_size_m.map_or(Ok(()), |size_m| {
+            require_positive("voxel_size_m", size_m).map(drop)
+        })
+    }
+}
+
 /// What the stage left.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VoxelResult {

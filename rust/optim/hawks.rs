@@ -79,7 +79,7 @@ impl HawkOptions {
         }
     }
 
-    fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         require_at_least("n_hawks", self.n_hawks, 1)?;
         require_at_least("n_iterations", self.n_iterations, 1)?;
         if let Some(max_evaluations) = self.max_evaluations {

@@ -1,0 +1,61 @@
+//! Stage 4: the pose, without an initial guess.
+//!
+//! Why: two sensors that agree on nothing give no common frame to start ICP from.
+//! Reads: two voxel-uniform clouds (robust) or their keypoints (paper).
+//! Leaves: candidate poses, best first, with what was counted at each.
+//! Source: robust is ours; paper is Ren, Zhao & Han (2023), Sections 4.3 and 4.4.
+//! Absent on purpose: the verdict; this stage reports figures and judges nobody.
+
+mod descent;
+mod paper;
+mod robust;
+mod starts;
+
+pub use paper::{PaperBox, PaperSearchOptions, search_paper};
+pub use robust::{RobustSearchOptions, search_robust};
+
+use crate::rigid::Rigid;
+
+/// A pose, and how far the clouds agree at it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// Takes local source coordinates to local target coordinates.
+    pub target_from_source: Rigid,
+    /// What candidates are ranked by, higher is better: in robust mode the curvature-weighted
+    /// symmetric share of inliers, 0 to about 1; in paper mode minus the RMS of Eq. (1).
+    pub score: f64,
+    /// Points of both clouds with a partner and an agreeing normal, by twice the points of the
+    /// smaller cloud; NaN in paper mode.
+    pub inlier_share: f64,
+}
+
+/// What the search found and what it cost.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CoarseResult {
+    /// Distinct poses, best first; never empty.
+    pub candidates: Vec<Candidate>,
+    /// Score of the best by the score of the best clearly different pose; infinite where no other
+    /// pose scored, 1 where two poses are equally good, NaN where no second pose was looked for.
+    pub ambiguity_ratio: f64,
+    /// Poses for which the clouds were compared, every step of every descent counted.
+    pub n_evaluations: usize,
+    /// Best score so far, after each verified pose (robust) or iteration (paper).
+    pub history: Vec<f64>,
+    /// Rounds of starts that were needed (robust) or iterations made (paper).
+    pub n_rounds: usize,
+    /// The length that distances of the search are shares of: the diagonal of the smaller cloud.
+    pub unit_m: f64,
+}
+
+impl CoarseResult {
+    /// Share of inliers of the best candidate.
+    pub fn inlier_share(&self) -> f64 {
+        self.candidates[0].inlier_share
+    }
+}
+
+/// Whether two poses of a cloud about its middle differ by more than an angle or a distance.
+fn differ(a: &Rigid, b: &Rigid, angle_rad: f64, distance: f64) -> bool {
+    (a.translation - b.translation).norm() > distance
+        || (a.rotation.transpose() * b.rotation).trace() < 1.0 + 2.0 * angle_rad.cos()
+}

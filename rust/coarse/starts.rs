@@ -1,0 +1,122 @@
+//! Where the search starts: rotations spread evenly, and places where the moving cloud may belong.
+
+use std::f64::consts::{SQRT_2, TAU};
+
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion};
+
+use crate::cloud::{Point, distance_sq};
+use crate::random::Stream;
+
+/// `n` rotations spread evenly over all of SO(3), turned together at random.
+///
+/// Source: Alexa (2022), super-Fibonacci spirals.
+pub(super) fn rotations(n: usize, stream: &mut Stream) -> Vec<Matrix3<f64>> {
+    const PSI: f64 = 1.533_751_168_755_204_2;
+    let frame = random_rotation(stream);
+    (0..n)
+        .map(|i| {
+            let s = i as f64 + 0.5;
+            let t = s / n as f64;
+            let (radius, co_radius) = (t.sqrt(), (1.0 - t).sqrt());
+            let (alpha, beta) = (TAU * s / SQRT_2, TAU * s / PSI);
+            let q = Quaternion::new(
+                co_radius * beta.cos(),
+                radius * alpha.sin(),
+                radius * alpha.cos(),
+                co_radius * beta.sin(),
+            );
+            (frame * UnitQuaternion::new_normalize(q))
+                .to_rotation_matrix()
+                .into_inner()
+        })
+        .collect()
+}
+
+/// A rotation drawn uniformly from SO(3).
+pub(super) fn random_rotation(stream: &mut Stream) -> UnitQuaternion<f64> {
+    let [w, x, y, z] = std::array::from_fn(|_| stream.normal());
+    UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
+}
+
+/// Places in the fixed cloud where the centroid of the moving cloud may have to go.
+///
+/// The moving cloud covers about a ball of `reach` round its centroid; for every block of the fixed
+/// cloud the centroid of what lies within that reach is one place, the block itself another;
+/// places closer than about half a `pitch` count once. For clouds of equal size this gives a few
+/// places round the middle, for a large fixed cloud a few hundred.
+pub(super) fn anchors(fixed_sample: &[Point], pitch: f64, reach: f64) -> Vec<Point> {
+    const THINNING: f64 = 0.45;
+    let mut blocks: Vec<[i64; 3]> = fixed_sample
+        .iter()
+        .map(|p| p.map(|v| (v / pitch).floor() as i64))
+        .collect();
+    blocks.sort_unstable();
+    blocks.dedup();
+    let reach_sq = reach * reach;
+    let mut kept: Vec<Point> = Vec::new();
+    let mut keep = |place: Point| {
+        let spacing_sq = (THINNING * pitch).powi(2);
+        if kept
+            .iter()
+            .all(|other| distance_sq(other, &place) >= spacing_sq)
+        {
+            kept.push(place);
+        }
+    };
+    for block in &blocks {
+        let centre: Point = block.map(|i| (i as f64 + 0.5) * pitch);
+        let (mut sum, mut n) = ([0.0; 3], 0.0);
+        for p in fixed_sample {
+            if distance_sq(p, &centre) < reach_sq {
+                (0..3).for_each(|axis| sum[axis] += p[axis]);
+                n += 1.0;
+            }
+        }
+        if n > 0.0 {
+            keep(sum.map(|v| v / n));
+        }
+        keep(centre);
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rotations_cover_the_group_evenly() {
+        // Any rotation has a start within 30° among 960: half the width of their cells is 20°.
+        let mut stream = Stream::new(1, "test", 0);
+        let starts = rotations(960, &mut stream);
+        for _ in 0..200 {
+            let wanted = random_rotation(&mut stream)
+                .to_rotation_matrix()
+                .into_inner();
+            let nearest = starts
+                .iter()
+                .map(|r| ((r.transpose() * wanted).trace() - 1.0) / 2.0)
+                .fold(-1.0, f64::max);
+            assert!(nearest.clamp(-1.0, 1.0).acos().to_degrees() < 30.0);
+        }
+        assert!(starts.iter().all(|r| (r.determinant() - 1.0).abs() < 1e-12));
+    }
+
+    #[test]
+    fn a_large_cloud_has_many_places_and_a_small_one_few() {
+        let square = |side: f64| -> Vec<Point> {
+            let n = 60;
+            (0..n * n)
+                .map(|i| [f64::from(i % n), f64::from(i / n)].map(|v| v / f64::from(n) * side))
+                .map(|[x, y]| [x, y, 0.0])
+                .collect()
+        };
+        let (few, many) = (
+            anchors(&square(0.7), 0.2, 0.4),
+            anchors(&square(2.8), 0.2, 0.4),
+        );
+        assert!((5..60).contains(&few.len()), "{}", few.len());
+        assert!(many.len() > 200, "{}", many.len());
+        assert!(anchors(&[], 0.2, 0.4).is_empty());
+    }
+}

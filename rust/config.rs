@@ -1,0 +1,127 @@
+//! Every setting of the route, with its default beside its algorithm and nowhere else.
+//!
+//! `None` means "derive this one from the data". Unknown keys are refused at every level, so that a
+//! misspelt option never runs silently with its default.
+
+use serde::{Deserialize, Serialize};
+
+use crate::coarse::{PaperSearchOptions, RobustSearchOptions};
+use crate::error::{Error, Result, require_at_least, require_positive};
+use crate::fuse::FuseOptions;
+use crate::icp::{IcpMethod, IcpOptions};
+use crate::keypoints::{IssOptions, RADIUS_IN_VOXELS};
+use crate::outlier::OutlierOptions;
+use crate::verdict::VerdictOptions;
+use crate::voxel::VoxelOptions;
+
+/// Which search is run.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// Many starts, verified in both directions: what users get.
+    #[default]
+    Robust,
+    /// The paper's method, plain: keypoints, TMCHHO on the RMS of Eq. (1), point-to-point ICP.
+    Paper,
+}
+
+/// All settings of [`crate::pipeline::register`].
+///
+/// ```
+/// use tmchho::config::{Config, Mode};
+/// let config = Config::from_json(r#"{"mode": "paper", "voxel": {"voxel_size_m": 0.1}}"#)?;
+/// assert_eq!(config.mode, Mode::Paper);
+/// assert_eq!(config.keypoints.max_ratio_second_to_first, 0.65);
+/// let misspelt = Config::from_json(r#"{"voxel": {"voxel_sise_m": 0.1}}"#).unwrap_err();
+/// assert!(misspelt.to_string().contains("voxel_sise_m"));
+/// # Ok::<(), tmchho::Error>(())
+/// ```
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Which search is run.
+    pub mode: Mode,
+    /// Seed of all random numbers.
+    pub seed: u64,
+    /// Threads; `None` for the machine's. Never changes the result.
+    pub n_threads: Option<usize>,
+    /// Stage 1, radius outlier removal.
+    pub outliers: OutlierOptions,
+    /// Stage 2, voxel centroids.
+    pub voxel: VoxelOptions,
+    /// Stage 3, ISS keypoints (paper mode).
+    pub keypoints: IssOptions,
+    /// Stage 4 in robust mode.
+    pub coarse: RobustSearchOptions,
+    /// Stage 4 in paper mode.
+    pub paper: PaperSearchOptions,
+    /// Stage 5, ICP.
+    pub icp: IcpOptions,
+    /// Stage 6, the verdict.
+    pub verdict: VerdictOptions,
+    /// Stage 8, fusion.
+    pub fuse: FuseOptions,
+}
+
+impl Config {
+    /// Reads JSON; keys left out keep their defaults.
+    ///
+    /// # Errors
+    /// [`Error::InvalidArgument`] naming an unknown key or a value of the wrong kind.
+    pub fn from_json(json: &str) -> Result<Self> {
+        serde_json::from_str(json).map_err(|error| {
+            // The parser's "at line 1 column 9" means nothing to somebody who wrote TOML.
+            let problem = error.to_string();
+            let problem = problem.split(" at line ").next().unwrap_or_default();
+            Error::argument("the configuration", format!("is not valid: {problem}"))
+        })
+    }
+
+    /// Writes JSON that [`Config::from_json`] reads back.
+    pub fn to_json(&self) -> String {
+        // Only maps with keys that are not strings can fail, and there are none.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+
+    /// Refuses what no stage could work with, before any of them has begun.
+    ///
+    /// # Errors
+    /// [`Error::InvalidArgument`] naming the key.
+    pub fn check(&self) -> Result<()> {
+        if let Some(n_threads) = self.n_threads {
+            require_at_least("n_threads", n_threads, 1)?;
+        }
+        for (name, value) in [
+            ("outliers.radius_m", self.outliers.radius_m),
+            ("keypoints.radius_m", self.keypoints.radius_m),
+            (
+                "keypoints.non_max_radius_m",
+                self.keypoints.non_max_radius_m,
+            ),
+        ] {
+            value.map_or(Ok(()), |value| require_positive(name, value).map(drop))?;
+        }
+        self.voxel.check()?;
+        self.coarse.check()?;
+        self.paper.check()?;
+        self.icp.check()?;
+        self.verdict.check()?;
+        self.fuse.check()
+    }
+
+    /// Fills in what was derived from the data.
+    pub(crate) fn resolve(&mut self, voxel_size_m: f64, max_distance_m: f64) {
+        self.voxel.voxel_size_m = Some(voxel_size_m);
+        let (method, max_distance_m) = match self.mode {
+            Mode::Robust => (IcpMethod::PointToPlane, Some(max_distance_m)),
+            Mode::Paper => {
+                let radius_m = RADIUS_IN_VOXELS * voxel_size_m;
+                self.keypoints.radius_m = self.keypoints.radius_m.or(Some(radius_m));
+                // The paper's ICP takes all pairs, unless a distance was asked for.
+                (IcpMethod::PointToPoint, self.icp.max_distance_m)
+            }
+        };
+        self.icp.method = self.icp.method.or(Some(method));
+        self.icp.max_distance_m = max_distance_m;
+    }
+}

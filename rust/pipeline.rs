@@ -1,0 +1,466 @@
+//! The route on one page: what happens to two clouds, in the order of the paper's flowchart.
+//!
+//! outliers → voxel → keypoints → coarse → icp → verdict → evaluate, and then fuse.
+
+use std::time::Instant;
+
+use crate::cloud::{Cloud, MIN_POINTS, Point};
+use crate::coarse::{self, CoarseResult};
+use crate::config::{Config, Mode};
+use crate::error::{Error, Result};
+use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
+use crate::fitness::{Sample, agreement, hold};
+use crate::fuse::{FuseOptions, FusedCloud, fuse};
+use crate::icp::{IcpResult, IcpStop, icp};
+use crate::keypoints::{self, RADIUS_IN_VOXELS};
+use crate::neighbors::NeighborIndex;
+use crate::outlier::remove_outliers;
+use crate::parallel;
+use crate::progress::{Event, Progress, Stage};
+use crate::rigid::Rigid;
+use crate::surface_cloud::SurfaceCloud;
+use crate::verdict::{Evidence, Strength, Verdict, judge};
+use crate::voxel::downsample;
+
+/// Voxels along the diagonal of the smaller cloud, where no edge is asked for.
+pub const VOXELS_PER_DIAGONAL: f64 = 250.0;
+/// A partner within so many voxels supports the pose, where no distance is asked for.
+pub const SUPPORT_IN_VOXELS: f64 = 2.5;
+
+/// What one stage did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StageRecord {
+    /// Which stage.
+    pub stage: Stage,
+    /// Points of the source that went in and came out.
+    pub n_source: (usize, usize),
+    /// Points of the target that went in and came out.
+    pub n_target: (usize, usize),
+    /// Wall time.
+    pub seconds: f64,
+}
+
+/// The result of a registration. Poses take source coordinates to target coordinates, as given.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Registration {
+    /// The pose.
+    pub target_from_source: Rigid,
+    /// The same pose about two pivots: q = R·(p − source pivot) + t + target pivot. Small numbers,
+    /// so that nothing is lost where the matrix is written as text.
+    pub about_pivots: Rigid,
+    /// Pivot in the source: its centroid.
+    pub source_pivot: Point,
+    /// Pivot in the target: its centroid.
+    pub target_pivot: Point,
+    /// The verdict.
+    pub verdict: Verdict,
+    /// Why, the weightiest first.
+    pub reasons: Vec<String>,
+    /// Source voxels with a partner within `max_distance_m`, by all source voxels.
+    pub fitness: f64,
+    /// Root mean squared distance of those pairs.
+    pub inlier_rmse_m: f64,
+    /// Number of those pairs.
+    pub n_inliers: usize,
+    /// Share of the source points, at full density, within `max_distance_m` of a target point.
+    pub overlap_of_source: f64,
+    /// Share of the target points, at full density, within `max_distance_m` of a source point.
+    pub overlap_of_target: f64,
+    /// Points of both clouds with a partner and an agreeing normal, by twice the points of the
+    /// smaller cloud.
+    pub inlier_share: f64,
+    /// Score of the best pose by the score of its best rival; NaN in paper mode.
+    pub ambiguity_ratio: f64,
+    /// How firmly the common surface holds the pose.
+    pub strength: Strength,
+    /// The best poses found, best first: (pose, score).
+    pub candidates: Vec<(Rigid, f64)>,
+    /// Poses for which the clouds were compared during the search.
+    pub n_evaluations: usize,
+    /// Best score of the search so far, step by step.
+    pub history: Vec<f64>,
+    /// Why ICP ended.
+    pub icp_stop: IcpStop,
+    /// Iterations of ICP.
+    pub n_icp_iterations: usize,
+    /// Mean squared distance after each iteration of ICP.
+    pub icp_history: Vec<f64>,
+    /// Distances from every source point to the target, at full density.
+    pub source_to_target: DistanceStatistics,
+    /// Distances from every target point to the source, at full density.
+    pub target_to_source: DistanceStatistics,
+    /// Points dropped because a coordinate was NaN or infinite: source, target.
+    pub n_non_finite: (usize, usize),
+    /// Radius of the outlier removal: source, target.
+    pub outlier_radius_m: (f64, f64),
+    /// Edge of the voxels.
+    pub voxel_size_m: f64,
+    /// Distance within which a partner supports the pose.
+    pub max_distance_m: f64,
+    /// What each stage did.
+    pub stages: Vec<StageRecord>,
+    /// The configuration with everything that was derived filled in.
+    pub config: Config,
+}
+
+/// Registers `source` onto `target`: no targets, no initial guess, no numbers needed.
+///
+/// # Errors
+/// [`Error::TooFewPoints`], [`Error::Degenerate`], [`Error::CoordinateTooLarge`] for clouds
+/// without a pose; [`Error::InvalidArgument`], [`Error::VoxelTooSmall`] for settings;
+/// [`Error::NoSolution`]; [`Error::Cancelled`]. A wrong pose is no error: read the verdict.
+///
+/// ```
+/// use tmchho::{Rigid, config::Config, pipeline::register, progress::Progress, verdict::Verdict};
+/// // A bumpy field, and the same field elsewhere.
+/// let target: Vec<[f64; 3]> = (0..6400)
+///     .map(|i| (f64::from(i % 80), f64::from(i / 80)))
+///     .map(|(x, y)| [x, y, 4.0 * (0.13 * x).sin() * (0.21 * y).cos() + 3.0 * (0.002 * x * y).sin()])
+///     .collect();
+/// let away = Rigid::from_euler([0.5, -2.0, 1.0], [300.0, -20.0, 7.0]);
+/// let source: Vec<[f64; 3]> = target.iter().map(|p| away.apply(p)).collect();
+/// let found = register(&source, &target, &Config::default(), &Progress::silent())?;
+/// let back = found.target_from_source.apply(&source[0]);
+/// assert!(back.iter().zip(&target[0]).all(|(a, b)| (a - b).abs() < 1e-3));
+/// assert_eq!(found.verdict, Verdict::Accepted);
+/// # Ok::<(), tmchho::Error>(())
+/// ```
+pub fn register(
+    source: &[Point],
+    target: &[Point],
+    config: &Config,
+    progress: &Progress<'_>,
+) -> Result<Registration> {
+    config.check()?;
+    let source = Cloud::named("source cloud", source)?;
+    let target = Cloud::named("target cloud", target)?;
+    parallel::with_threads(config.n_threads, || {
+        route(&source, &target, config, progress)
+    })
+}
+
+fn route(
+    source: &Cloud,
+    target: &Cloud,
+    config: &Config,
+    progress: &Progress<'_>,
+) -> Result<Registration> {
+    let mut config = config.clone();
+    let mut log = StageLog::new(progress, source.len(), target.len());
+
+    log.begin(Stage::Outliers)?;
+    let source_index = NeighborIndex::new(source.points());
+    let target_index = NeighborIndex::new(target.points());
+    let source_cleaned = remove_outliers(source, &source_index, &config.outliers, progress)?;
+    let target_cleaned = remove_outliers(target, &target_index, &config.outliers, progress)?;
+    log.end(source_cleaned.cloud.len(), target_cleaned.cloud.len());
+
+    log.begin(Stage::Voxel)?;
+    let unit_m = diagonal_of_smaller(&source_cleaned.cloud, &target_cleaned.cloud)?;
+    let voxel_size_m = config
+        .voxel
+        .voxel_size_m
+        .unwrap_or(unit_m / VOXELS_PER_DIAGONAL);
+    let source_voxels = downsample(&source_cleaned.cloud, voxel_size_m, progress)?.cloud;
+    let target_voxels = downsample(&target_cleaned.cloud, voxel_size_m, progress)?.cloud;
+    let source_surface = SurfaceCloud::new(&source_voxels, config.seed, progress)?;
+    let target_surface = SurfaceCloud::new(&target_voxels, config.seed, progress)?;
+    log.end(source_voxels.len(), target_voxels.len());
+    let max_distance_m = config
+        .icp
+        .max_distance_m
+        .unwrap_or(SUPPORT_IN_VOXELS * voxel_size_m);
+    config.resolve(voxel_size_m, max_distance_m);
+
+    let found = match config.mode {
+        Mode::Robust => {
+            log.begin(Stage::Coarse)?;
+            let (seed, options) = (config.seed, &config.coarse);
+            let (source, target) = (&source_surface, &target_surface);
+            coarse::search_robust(source, target, unit_m, options, seed, progress)?
+        }
+        Mode::Paper => {
+            log.begin(Stage::Keypoints)?;
+            let keypoints = |cloud: &Cloud, about: Point| -> Result<Vec<Point>> {
+                let radius_m = RADIUS_IN_VOXELS * voxel_size_m;
+                let index = NeighborIndex::new(cloud.points());
+                let found =
+                    keypoints::detect(cloud, &index, &config.keypoints, radius_m, progress)?;
+                let local = |i: &u32| {
+                    let p = cloud.points()[*i as usize];
+                    std::array::from_fn(|axis| p[axis] + (cloud.origin()[axis] - about[axis]))
+                };
+                Ok(found.indices.iter().map(local).collect())
+            };
+            let source_keypoints = keypoints(&source_voxels, source_surface.origin)?;
+            let target_keypoints = keypoints(&target_voxels, target_surface.origin)?;
+            log.end(source_keypoints.len(), target_keypoints.len());
+            log.begin(Stage::Coarse)?;
+            let (seed, options) = (config.seed, &config.paper);
+            coarse::search_paper(
+                &source_keypoints,
+                &target_keypoints,
+                options,
+                seed,
+                progress,
+            )?
+        }
+    };
+    log.keep();
+
+    log.begin(Stage::Icp)?;
+    let coarse_pose = found.candidates[0].target_from_source;
+    let fine = refine(
+        &source_surface,
+        &target_surface,
+        &coarse_pose,
+        &config,
+        progress,
+    )?;
+    log.keep();
+
+    log.begin(Stage::Verdict)?;
+    let agreed = |pose: &Rigid| {
+        let sample = Sample {
+            n_moving: source_surface.len(),
+            n_fixed: target_surface.len(),
+        };
+        agreement(
+            &source_surface,
+            &target_surface,
+            pose,
+            max_distance_m,
+            sample,
+        )
+    };
+    let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source));
+    // Robust mode keeps ICP's pose only where it is no worse; the paper always takes it.
+    let (pose, agreed) = if config.mode == Mode::Paper || after.score >= before.score {
+        (fine.target_from_source, after)
+    } else {
+        (coarse_pose, before)
+    };
+    let held = hold(&source_surface, &target_surface, &pose, max_distance_m);
+    let strength = Strength::new(
+        &held.planes.information(),
+        held.planes.weight(),
+        held.radius_m,
+    );
+    let judgement = judge(
+        &Evidence {
+            inlier_share: agreed.inlier_share,
+            ambiguity_ratio: found.ambiguity_ratio,
+            strength,
+            converged: fine.stop_reason == IcpStop::Converged,
+        },
+        &config.verdict,
+    );
+    log.keep();
+
+    log.begin(Stage::Evaluate)?;
+    let (source_pivot, target_pivot) = (source_surface.origin, target_surface.origin);
+    let given = |pose: &Rigid| pose.between_given_coordinates(source_pivot, target_pivot);
+    let local = given(&pose).between_local_coordinates(source.origin(), target.origin());
+    let source_to_target = distances(source, &target_index, &local, progress)?;
+    let target_to_source = distances(target, &source_index, &local.inverse(), progress)?;
+    log.keep();
+
+    let CoarseResult {
+        candidates,
+        n_evaluations,
+        history,
+        ambiguity_ratio,
+        ..
+    } = found;
+    Ok(Registration {
+        target_from_source: given(&pose),
+        about_pivots: pose,
+        source_pivot,
+        target_pivot,
+        verdict: judgement.verdict,
+        reasons: judgement.reasons,
+        fitness: agreed.overlap_of_moving,
+        inlier_rmse_m: agreed.inlier_rmse,
+        n_inliers: agreed.n_moving_with_partner,
+        overlap_of_source: share_within(&source_to_target, max_distance_m),
+        overlap_of_target: share_within(&target_to_source, max_distance_m),
+        inlier_share: agreed.inlier_share,
+        ambiguity_ratio,
+        strength,
+        candidates: candidates
+            .iter()
+            .map(|c| (given(&c.target_from_source), c.score))
+            .collect(),
+        n_evaluations,
+        history,
+        icp_stop: fine.stop_reason,
+        n_icp_iterations: fine.n_iterations,
+        icp_history: fine.history,
+        source_to_target: statistics(&source_to_target)?,
+        target_to_source: statistics(&target_to_source)?,
+        n_non_finite: (source.n_non_finite(), target.n_non_finite()),
+        outlier_radius_m: (source_cleaned.radius_m, target_cleaned.radius_m),
+        voxel_size_m,
+        max_distance_m,
+        stages: log.records,
+        config,
+    })
+}
+
+/// Brings the coarse pose to rest: the paper's ICP, or point-to-plane on the overlap.
+fn refine(
+    source: &SurfaceCloud,
+    target: &SurfaceCloud,
+    coarse_pose: &Rigid,
+    config: &Config,
+    progress: &Progress<'_>,
+) -> Result<IcpResult> {
+    let (points, index, surfaces) = (source.points(), &target.index, &target.surfaces);
+    icp(points, index, surfaces, coarse_pose, &config.icp, progress)
+}
+
+/// Cloud-to-cloud distances of two clouds at a pose: from every point to the nearest of the other.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evaluation {
+    /// From each finite source point to the target.
+    pub source_to_target_m: Vec<f64>,
+    /// From each finite target point to the source.
+    pub target_to_source_m: Vec<f64>,
+}
+
+/// Stage 7 alone: the distances at a pose that is already known.
+///
+/// # Errors
+/// [`Error::TooFewPoints`] for a cloud without finite points; [`Error::Cancelled`].
+pub fn evaluate(
+    source: &[Point],
+    target: &[Point],
+    target_from_source: &Rigid,
+    progress: &Progress<'_>,
+) -> Result<Evaluation> {
+    let source = some_points("source cloud", source)?;
+    let target = some_points("target cloud", target)?;
+    let local = target_from_source.between_local_coordinates(source.origin(), target.origin());
+    let source_index = NeighborIndex::new(source.points());
+    let target_index = NeighborIndex::new(target.points());
+    Ok(Evaluation {
+        source_to_target_m: distances(&source, &target_index, &local, progress)?,
+        target_to_source_m: distances(&target, &source_index, &local.inverse(), progress)?,
+    })
+}
+
+/// Stage 8 alone: one cloud from two, at a pose that is already known.
+///
+/// # Errors
+/// [`Error::TooFewPoints`] for a cloud without finite points; [`Error::InvalidArgument`] for the
+/// options; [`Error::Cancelled`].
+pub fn fuse_clouds(
+    source: &[Point],
+    target: &[Point],
+    target_from_source: &Rigid,
+    options: &FuseOptions,
+    progress: &Progress<'_>,
+) -> Result<FusedCloud> {
+    progress.emit(&Event::Started { stage: Stage::Fuse })?;
+    let source = some_points("source cloud", source)?;
+    let target = some_points("target cloud", target)?;
+    let local = target_from_source.between_local_coordinates(source.origin(), target.origin());
+    let source_index = NeighborIndex::new(source.points());
+    let target_index = NeighborIndex::new(target.points());
+    fuse(
+        &target,
+        &target_index,
+        &source,
+        &source_index,
+        &local,
+        options,
+        progress,
+    )
+}
+
+fn some_points(what: &str, points: &[Point]) -> Result<Cloud> {
+    let cloud = Cloud::of_any_shape(what, points)?;
+    if cloud.is_empty() {
+        return Err(Error::TooFewPoints {
+            what: what.into(),
+            found: 0,
+            needed: 1,
+        });
+    }
+    Ok(cloud)
+}
+
+fn distances(
+    from: &Cloud,
+    to: &NeighborIndex,
+    to_from: &Rigid,
+    progress: &Progress<'_>,
+) -> Result<Vec<f64>> {
+    let moved = parallel::map_cheap(from.len(), progress, |i| to_from.apply(&from.points()[i]))?;
+    nearest_distances(&moved, to, progress)
+}
+
+fn statistics(distances_m: &[f64]) -> Result<DistanceStatistics> {
+    DistanceStatistics::from_distances(distances_m).ok_or_else(|| Error::NoSolution {
+        reason: "there are no distances".into(),
+    })
+}
+
+/// The diagonal of the smaller cloud, which every derived length is a share of.
+fn diagonal_of_smaller(source: &Cloud, target: &Cloud) -> Result<f64> {
+    for (what, cloud) in [("source cloud", source), ("target cloud", target)] {
+        if cloud.len() < MIN_POINTS {
+            return Err(Error::TooFewPoints {
+                what: format!("{what}, after outlier removal,"),
+                found: cloud.len(),
+                needed: MIN_POINTS,
+            });
+        }
+    }
+    Ok(source.robust_diagonal_m().min(target.robust_diagonal_m()))
+}
+
+/// Tells the caller where the route is, and keeps what each stage did.
+struct StageLog<'a> {
+    progress: &'a Progress<'a>,
+    records: Vec<StageRecord>,
+    running: Option<(Stage, Instant)>,
+    n_source: usize,
+    n_target: usize,
+}
+
+impl<'a> StageLog<'a> {
+    fn new(progress: &'a Progress<'a>, n_source: usize, n_target: usize) -> Self {
+        Self {
+            progress,
+            records: Vec::new(),
+            running: None,
+            n_source,
+            n_target,
+        }
+    }
+
+    fn begin(&mut self, stage: Stage) -> Result<()> {
+        self.running = Some((stage, Instant::now()));
+        self.progress.emit(&Event::Started { stage })
+    }
+
+    /// The running stage left so many points.
+    fn end(&mut self, n_source: usize, n_target: usize) {
+        if let Some((stage, began)) = self.running.take() {
+            self.records.push(StageRecord {
+                stage,
+                n_source: (self.n_source, n_source),
+                n_target: (self.n_target, n_target),
+                seconds: began.elapsed().as_secs_f64(),
+            });
+            (self.n_source, self.n_target) = (n_source, n_target);
+        }
+    }
+
+    /// The running stage left the points as they were.
+    fn keep(&mut self) {
+        self.end(self.n_source, self.n_target);
+    }
+}

@@ -1,0 +1,80 @@
+//! A cloud with everything that comparing it to another one needs, built once and shared.
+
+use crate::cloud::{Cloud, Point, bounds, centroid};
+use crate::error::Result;
+use crate::neighbors::NeighborIndex;
+use crate::normals::{self, Surface};
+use crate::progress::Progress;
+use crate::random::Stream;
+
+/// Neighbours from which a normal is estimated: enough to average noise over a few voxels, few
+/// enough not to round off the edges on which registration rests.
+const N_NORMAL_NEIGHBORS: usize = 16;
+
+/// Points about their centroid in random order, the surface at each of them, their neighbours.
+///
+/// The first n points are a random sample of the cloud, whatever n is.
+#[derive(Debug)]
+pub struct SurfaceCloud {
+    /// The centroid, in the coordinates given.
+    pub origin: Point,
+    /// Normal and curvature at each point.
+    pub surfaces: Vec<Surface>,
+    /// Neighbours; also holds the points.
+    pub index: NeighborIndex,
+    low: Point,
+    high: Point,
+}
+
+impl SurfaceCloud {
+    /// Indexes the points of `cloud`, in an order fixed by `seed`, and estimates their surfaces.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub fn new(cloud: &Cloud, seed: u64, progress: &Progress<'_>) -> Result<Self> {
+        let middle = centroid(cloud.points());
+        let points: Vec<Point> = Stream::new(seed, "order of points", 0)
+            .sample_indices(cloud.len(), cloud.len())
+            .into_iter()
+            .map(|i| std::array::from_fn(|axis| cloud.points()[i][axis] - middle[axis]))
+            .collect();
+        let index = NeighborIndex::new(&points);
+        let surfaces = normals::estimate(&points, &index, N_NORMAL_NEIGHBORS, progress)?;
+        let (low, high) = bounds(&points);
+        Ok(Self {
+            origin: std::array::from_fn(|axis| cloud.origin()[axis] + middle[axis]),
+            surfaces,
+            index,
+            low,
+            high,
+        })
+    }
+
+    /// The points, relative to the origin.
+    pub fn points(&self) -> &[Point] {
+        self.index.points()
+    }
+
+    /// The first `n` points, or all: a random sample.
+    pub fn sample(&self, n: usize) -> &[Point] {
+        &self.points()[..n.min(self.len())]
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.points().len()
+    }
+
+    /// Whether there are no points.
+    pub fn is_empty(&self) -> bool {
+        self.points().is_empty()
+    }
+
+    /// Whether `p` lies within `margin_m` of the box of the points.
+    #[inline]
+    pub fn is_near_box(&self, p: &Point, margin_m: f64) -> bool {
+        (0..3).all(|axis| {
+            p[axis] >= self.low[axis] - margin_m && p[axis] <= self.high[axis] + margin_m
+        })
+    }
+}
