@@ -9,9 +9,8 @@
 
 use crate::cloud::{Cloud, Point};
 use crate::error::{Error, Result, require_positive};
-use crate::neighbors::{Neighbor, NeighborIndex};
+use crate::neighbors::{Neighbor, NeighborIndex, map_places};
 use crate::normals::Symmetric;
-use crate::parallel;
 use crate::progress::Progress;
 
 /// The radius of the neighbourhood where none is given, in voxels.
@@ -99,17 +98,15 @@ pub fn detect(
         options.max_ratio_third_to_second,
     )?;
     let points = cloud.points();
-    let chunks = parallel::chunks(points.len(), progress, |range| {
-        let mut found = Vec::new();
-        range
-            .filter_map(|i| {
-                index.within(&points[i], radius_m, &mut found);
-                let lambda = eigenvalues(&points[i], index.points(), &found, radius_m, options)?;
-                is_keypoint(lambda, options).then_some((i as u32, lambda[2]))
-            })
-            .collect::<Vec<_>>()
+    let third = map_places(points, progress, Vec::new, |found, i| {
+        index.within(&points[i], radius_m, found);
+        let lambda = eigenvalues(&points[i], index.points(), found, radius_m, options)?;
+        is_keypoint(lambda, options).then_some(lambda[2])
     })?;
-    let mut keypoints: Vec<(u32, f64)> = chunks.into_iter().flatten().collect();
+    let mut keypoints: Vec<(u32, f64)> = (0_u32..)
+        .zip(third)
+        .filter_map(|(i, lambda_3)| Some((i, lambda_3?)))
+        .collect();
     if let Some(radius_m) = options.non_max_radius_m {
         let radius_m = require_positive("non_max_radius_m", radius_m)?;
         keypoints = largest_within(points, &keypoints, radius_m, progress)?;
@@ -163,9 +160,8 @@ fn largest_within(
 ) -> Result<Vec<(u32, f64)>> {
     let places: Vec<Point> = keypoints.iter().map(|(i, _)| points[*i as usize]).collect();
     let index = NeighborIndex::new(&places);
-    let keep = parallel::map_cheap(places.len(), progress, |i| {
-        let mut rivals = Vec::new();
-        index.within(&places[i], radius_m, &mut rivals);
+    let keep = map_places(&places, progress, Vec::new, |rivals, i| {
+        index.within(&places[i], radius_m, rivals);
         let own = keypoints[i].1;
         rivals.iter().map(|rival| rival.index as usize).all(|j| {
             let other = keypoints[j].1;

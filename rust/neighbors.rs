@@ -6,21 +6,20 @@
 //! widest side of each box, keeps a pile of coincident points in one leaf, and answers ties with
 //! the lowest index, so that the answer depends on the points alone.
 //! Reads: points.  Leaves: indices into them, with squared distances.
-//! Source: Friedman, Bentley & Finkel (1977), widest-side median splits; Arya & Mount (1993), the
-//! distance to a box kept up to date axis by axis on the way down.  Deviates: nowhere; the lower
-//! bounds are rounded like the distances, so that no neighbour is lost to the last bit.
+//! Source: `neighbors/tree.rs`.  Deviates: nowhere; answers are exact to the last bit.
 //! Absent on purpose: adding or removing points, other metrics, approximate answers.
 
-use crate::cloud::{Point, bounds, distance_sq};
+mod collect;
+mod order;
+mod tree;
+
+use collect::{Count, KNearest, Nearest, Within};
+pub(crate) use order::map_places;
+use tree::Tree;
+
+use crate::cloud::Point;
 use crate::error::{Error, Result};
-use crate::parallel;
 use crate::progress::Progress;
-
-/// Most points in a leaf (a pile of coincident points may hold more).
-const LEAF_POINTS: usize = 12;
-
-/// Subtrees with at least so many points are built in parallel.
-const PARALLEL_POINTS: usize = 8192;
 
 /// A point that was found.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,52 +43,15 @@ pub struct Neighbor {
 #[derive(Debug, Clone)]
 pub struct NeighborIndex {
     points: Vec<Point>,
-    /// The same points in the order of the leaves.
-    entries: Vec<Entry>,
-    /// Every node is followed by its left subtree, then its right one.
-    nodes: Vec<Node>,
-    low: Point,
-    high: Point,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Entry {
-    point: Point,
-    index: u32,
-}
-
-#[derive(Debug, Clone, Copy)]
-enum Node {
-    Split {
-        axis: u8,
-        /// The right subtree starts so many nodes further on.
-        right: u32,
-        /// No point of the left subtree lies above this.
-        left_high: f64,
-        /// No point of the right subtree lies below this.
-        right_low: f64,
-    },
-    /// A few entries.
-    Leaf { start: u32, end: u32 },
-    /// Entries at one and the same place, by rising index.
-    Pile { start: u32, end: u32 },
+    tree: Tree,
 }
 
 impl NeighborIndex {
     /// Sorts a copy of `points`, which must be finite and at most 2³² − 1 in number.
     pub fn new(points: &[Point]) -> Self {
-        let mut entries: Vec<Entry> = (0_u32..)
-            .zip(points)
-            .map(|(index, &point)| Entry { point, index })
-            .collect();
-        let nodes = build(&mut entries, 0);
-        let (low, high) = bounds(points);
         Self {
             points: points.to_vec(),
-            entries,
-            nodes,
-            low,
-            high,
+            tree: Tree::new(points),
         }
     }
 
@@ -127,14 +89,14 @@ impl NeighborIndex {
     /// by rising distance, then index. A point at `place` itself is one of them.
     pub fn k_nearest(&self, place: &Point, k: usize, out: &mut Vec<Neighbor>) {
         out.clear();
-        self.search(place, &mut KNearest { k, found: out });
+        self.tree.search(place, &mut KNearest { k, found: out });
     }
 
     /// Replaces `out` with the points at most `radius_m` from `place`, by rising index.
     pub fn within(&self, place: &Point, radius_m: f64, out: &mut Vec<Neighbor>) {
         out.clear();
         let radius_sq = radius_m * radius_m;
-        self.search(
+        self.tree.search(
             place,
             &mut Within {
                 radius_sq,
@@ -150,7 +112,7 @@ impl NeighborIndex {
             radius_sq: radius_m * radius_m,
             n_left: at_most,
         };
-        self.search(place, &mut count);
+        self.tree.search(place, &mut count);
         at_most - count.n_left
     }
 
@@ -167,7 +129,7 @@ impl NeighborIndex {
                 needed: 1,
             });
         }
-        parallel::map_cheap(places.len(), progress, |i| self.nearest(&places[i]))?
+        map_places(places, progress, || (), |(), i| self.nearest(&places[i]))?
             .into_iter()
             .collect::<Option<Vec<_>>>()
             .ok_or_else(|| Error::argument("places", "hold a coordinate that is not finite"))
@@ -181,274 +143,16 @@ impl NeighborIndex {
                 distance_sq: most_sq,
             },
         };
-        self.search(place, &mut nearest);
+        self.tree.search(place, &mut nearest);
         (nearest.best.index != u32::MAX).then_some(nearest.best)
-    }
-
-    fn search(&self, place: &Point, collector: &mut impl Collector) {
-        if self.is_empty() {
-            return;
-        }
-        let gap = std::array::from_fn(|axis| {
-            (self.low[axis] - place[axis])
-                .max(place[axis] - self.high[axis])
-                .max(0.0)
-        });
-        // False for a place that is not a number.
-        if place.iter().all(|v| v.is_finite()) && norm_sq(&gap) <= collector.reach_sq() {
-            self.descend(0, place, gap, collector);
-        }
-    }
-
-    /// Visits the subtree at `node`, whose box is at least `gap` from `place` along each axis.
-    fn descend(&self, node: usize, place: &Point, gap: Point, collector: &mut impl Collector) {
-        match self.nodes[node] {
-            Node::Leaf { start, end } => {
-                for entry in &self.entries[start as usize..end as usize] {
-                    collector.offer(distance_sq(place, &entry.point), entry.index);
-                }
-            }
-            Node::Pile { start, end } => {
-                let pile = &self.entries[start as usize..end as usize];
-                let distance_sq = distance_sq(place, &pile[0].point);
-                for entry in pile.iter().take(collector.most_of_a_pile()) {
-                    collector.offer(distance_sq, entry.index);
-                }
-            }
-            Node::Split {
-                axis,
-                right,
-                left_high,
-                right_low,
-            } => {
-                let axis = usize::from(axis);
-                let (left, right) = (node + 1, node + right as usize);
-                let (above_left, below_right) = (place[axis] - left_high, right_low - place[axis]);
-                let ((near, near_gap), (far, far_gap)) = if above_left < below_right {
-                    ((left, above_left), (right, below_right))
-                } else {
-                    ((right, below_right), (left, above_left))
-                };
-                for (child, child_gap) in [(near, near_gap), (far, far_gap)] {
-                    let mut gap = gap;
-                    gap[axis] = gap[axis].max(child_gap);
-                    if norm_sq(&gap) <= collector.reach_sq() {
-                        self.descend(child, place, gap, collector);
-                    }
-                }
-            }
-        }
-    }
-}
-
-/// The nodes over `entries`, the first of which is entry number `start` of the whole index.
-fn build(entries: &mut [Entry], start: usize) -> Vec<Node> {
-    let mut nodes = Vec::with_capacity(2 * entries.len() / LEAF_POINTS + 1);
-    grow(entries, start, &mut nodes);
-    nodes
-}
-
-fn grow(entries: &mut [Entry], start: usize, nodes: &mut Vec<Node>) {
-    let range = (start as u32, (start + entries.len()) as u32);
-    let (low, high) = bounds_of(entries);
-    let side = |axis: usize| high[axis] - low[axis];
-    let axis = (1..3).fold(0, |widest, axis| {
-        if side(axis) > side(widest) {
-            axis
-        } else {
-            widest
-        }
-    });
-    if entries.len() > 1 && side(axis) == 0.0 {
-        entries.sort_unstable_by_key(|entry| entry.index);
-        nodes.push(Node::Pile {
-            start: range.0,
-            end: range.1,
-        });
-        return;
-    }
-    if entries.len() <= LEAF_POINTS {
-        nodes.push(Node::Leaf {
-            start: range.0,
-            end: range.1,
-        });
-        return;
-    }
-    let middle = entries.len() / 2;
-    let (below, median, _) =
-        entries.select_nth_unstable_by(middle, |a, b| a.point[axis].total_cmp(&b.point[axis]));
-    let right_low = median.point[axis];
-    let left_high = below
-        .iter()
-        .fold(f64::NEG_INFINITY, |high, entry| high.max(entry.point[axis]));
-    let this = nodes.len();
-    nodes.push(Node::Leaf { start: 0, end: 0 });
-    let (left, right) = entries.split_at_mut(middle);
-    if left.len() >= PARALLEL_POINTS {
-        let (left, right) = parallel::both(|| build(left, start), || build(right, start + middle));
-        nodes.extend(left);
-        nodes[this] = Node::Split {
-            axis: axis as u8,
-            right: (nodes.len() - this) as u32,
-            left_high,
-            right_low,
-        };
-        nodes.extend(right);
-    } else {
-        grow(left, start, nodes);
-        nodes[this] = Node::Split {
-            axis: axis as u8,
-            right: (nodes.len() - this) as u32,
-            left_high,
-            right_low,
-        };
-        grow(right, start + middle, nodes);
-    }
-}
-
-fn bounds_of(entries: &[Entry]) -> (Point, Point) {
-    let mut low = [f64::INFINITY; 3];
-    let mut high = [f64::NEG_INFINITY; 3];
-    for entry in entries {
-        for axis in 0..3 {
-            low[axis] = low[axis].min(entry.point[axis]);
-            high[axis] = high[axis].max(entry.point[axis]);
-        }
-    }
-    (low, high)
-}
-
-/// Summed in the order of [`distance_sq`]: rounding is monotone, so a box is never held to be
-/// farther than a point in it.
-#[inline]
-fn norm_sq(v: &Point) -> f64 {
-    v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-}
-
-/// What a search is for.
-trait Collector {
-    /// Squared distance beyond which nothing is of interest any more.
-    fn reach_sq(&self) -> f64;
-    /// How many of a pile of coincident points are of interest.
-    fn most_of_a_pile(&self) -> usize;
-    /// Takes note of a point.
-    fn offer(&mut self, distance_sq: f64, index: u32);
-}
-
-struct Nearest {
-    least_sq: f64,
-    best: Neighbor,
-}
-
-impl Collector for Nearest {
-    #[inline]
-    fn reach_sq(&self) -> f64 {
-        self.best.distance_sq
-    }
-
-    fn most_of_a_pile(&self) -> usize {
-        1
-    }
-
-    #[inline]
-    fn offer(&mut self, distance_sq: f64, index: u32) {
-        let best = self.best;
-        let nearer = distance_sq < best.distance_sq
-            || (distance_sq == best.distance_sq && index < best.index);
-        if nearer && distance_sq >= self.least_sq {
-            self.best = Neighbor { index, distance_sq };
-        }
-    }
-}
-
-struct KNearest<'a> {
-    k: usize,
-    /// By rising distance, then index.
-    found: &'a mut Vec<Neighbor>,
-}
-
-impl Collector for KNearest<'_> {
-    #[inline]
-    fn reach_sq(&self) -> f64 {
-        if self.found.len() < self.k {
-            f64::INFINITY
-        } else {
-            self.found.last().map_or(-1.0, |last| last.distance_sq)
-        }
-    }
-
-    fn most_of_a_pile(&self) -> usize {
-        self.k
-    }
-
-    #[inline]
-    fn offer(&mut self, distance_sq: f64, index: u32) {
-        if distance_sq > self.reach_sq() {
-            return;
-        }
-        let place = self.found.partition_point(|n| {
-            n.distance_sq < distance_sq || (n.distance_sq == distance_sq && n.index < index)
-        });
-        if place < self.k {
-            self.found.truncate(self.k - 1);
-            self.found.insert(place, Neighbor { index, distance_sq });
-        }
-    }
-}
-
-struct Within<'a> {
-    radius_sq: f64,
-    found: &'a mut Vec<Neighbor>,
-}
-
-impl Collector for Within<'_> {
-    #[inline]
-    fn reach_sq(&self) -> f64 {
-        self.radius_sq
-    }
-
-    fn most_of_a_pile(&self) -> usize {
-        usize::MAX
-    }
-
-    #[inline]
-    fn offer(&mut self, distance_sq: f64, index: u32) {
-        if distance_sq <= self.radius_sq {
-            self.found.push(Neighbor { index, distance_sq });
-        }
-    }
-}
-
-struct Count {
-    radius_sq: f64,
-    n_left: usize,
-}
-
-impl Collector for Count {
-    #[inline]
-    fn reach_sq(&self) -> f64 {
-        if self.n_left > 0 {
-            self.radius_sq
-        } else {
-            -1.0
-        }
-    }
-
-    fn most_of_a_pile(&self) -> usize {
-        self.n_left
-    }
-
-    #[inline]
-    fn offer(&mut self, distance_sq: f64, _index: u32) {
-        if distance_sq <= self.reach_sq() {
-            self.n_left -= 1;
-        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::distance_sq;
+    use crate::parallel;
     use crate::random::Stream;
     use proptest::prelude::*;
 
@@ -554,7 +258,6 @@ mod tests {
     #[test]
     fn a_million_copies_of_one_point_are_one_pile() {
         let index = NeighborIndex::new(&vec![[1.0, 2.0, 3.0]; 1_000_000]);
-        assert_eq!(index.nodes.len(), 1);
         let places = vec![[1.5, 2.0, 3.0]; 10_000];
         let found = index.nearest_all(&places, &Progress::silent()).unwrap();
         assert!(found.iter().all(|n| (n.index, n.distance_sq) == (0, 0.25)));

@@ -11,8 +11,7 @@
 
 use crate::cloud::{Point, centroid};
 use crate::error::{Result, require_at_least, require_positive};
-use crate::neighbors::{Neighbor, NeighborIndex};
-use crate::parallel;
+use crate::neighbors::{Neighbor, NeighborIndex, map_places};
 use crate::progress::Progress;
 
 /// Three points span a plane.
@@ -92,19 +91,13 @@ fn estimate_from(
     progress: &Progress<'_>,
     find: impl Fn(&Point, &mut Vec<Neighbor>) + Sync + Send,
 ) -> Result<Vec<Surface>> {
-    let chunks = parallel::chunks(points.len(), progress, |range| {
-        let (mut found, mut neighbors) = (Vec::new(), Vec::new());
-        points[range]
-            .iter()
-            .map(|point| {
-                find(point, &mut found);
-                neighbors.clear();
-                neighbors.extend(found.iter().map(|n| index.points()[n.index as usize]));
-                surface_through(&neighbors)
-            })
-            .collect::<Vec<_>>()
-    })?;
-    Ok(chunks.into_iter().flatten().collect())
+    let buffers = || (Vec::new(), Vec::new());
+    map_places(points, progress, buffers, |(found, neighbors), i| {
+        find(&points[i], found);
+        neighbors.clear();
+        neighbors.extend(found.iter().map(|n| index.points()[n.index as usize]));
+        surface_through(neighbors)
+    })
 }
 
 /// The plane of least squares through `points`.

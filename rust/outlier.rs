@@ -9,8 +9,7 @@
 
 use crate::cloud::Cloud;
 use crate::error::{Error, Result, require_positive};
-use crate::neighbors::NeighborIndex;
-use crate::parallel;
+use crate::neighbors::{NeighborIndex, map_places};
 use crate::progress::Progress;
 use crate::spacing::nearest_spacing_quantile_m;
 
@@ -85,9 +84,12 @@ pub fn remove_outliers(
     };
     let points = cloud.points();
     let needed = options.min_neighbors.saturating_add(1); // the point itself is found as well
-    let keep = parallel::map_cheap(points.len(), progress, |i| {
-        index.count_within(&points[i], radius_m, needed) == needed
-    })?;
+    let keep = map_places(
+        points,
+        progress,
+        || (),
+        |(), i| index.count_within(&points[i], radius_m, needed) == needed,
+    )?;
     let kept: Vec<u32> = (0_u32..)
         .zip(&keep)
         .filter_map(|(i, keep)| keep.then_some(i))

@@ -1,0 +1,102 @@
+//! How long the point-wise stages take: from a thousand points to a million, points per second.
+//!
+//! `cargo bench --bench stages -- --quick` for a first look, `-- voxel` for one stage.
+
+use std::hint::black_box;
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use tmchho::neighbors::NeighborIndex;
+use tmchho::progress::Progress;
+use tmchho::random::Stream;
+use tmchho::{Cloud, Point, Rigid};
+use tmchho::{evaluate, fuse, keypoints, normals, outlier, spacing, voxel};
+
+const SIZES: [usize; 4] = [1_000, 10_000, 100_000, 1_000_000];
+
+/// A cloud of rolling ground, with its index and its spacing.
+struct Scene {
+    cloud: Cloud,
+    index: NeighborIndex,
+    spacing_m: f64,
+}
+
+impl Scene {
+    /// `n` points in random order, at one density whatever their number.
+    fn new(n: usize, survey: u64) -> Self {
+        let mut stream = Stream::new(1, "bench", survey);
+        let side_m = 0.1 * (n as f64).sqrt();
+        let points: Vec<Point> = (0..n)
+            .map(|_| {
+                let (x, y) = (side_m * stream.uniform(), side_m * stream.uniform());
+                let height_m = 2.0 * (0.3 * x).sin() * (0.2 * y).cos();
+                [x, y, height_m + 0.02 * stream.normal()]
+            })
+            .collect();
+        let cloud = Cloud::new(&points).expect("the ground is no plane");
+        let index = NeighborIndex::new(cloud.points());
+        let spacing_m = spacing::median_spacing_m(&index);
+        Self {
+            cloud,
+            index,
+            spacing_m,
+        }
+    }
+}
+
+fn stages(criterion: &mut Criterion) {
+    let silent = Progress::silent();
+    for n in SIZES {
+        let scene = Scene::new(n, 0);
+        let other = Scene::new(n, 1);
+        let (points, others) = (scene.cloud.points(), other.cloud.points());
+        let edge_m = 4.0 * scene.spacing_m;
+        let mut bench = |name: &str, work: &mut dyn FnMut()| {
+            let mut group = criterion.benchmark_group(name);
+            group
+                .sample_size(10)
+                .throughput(Throughput::Elements(n as u64));
+            group.bench_function(BenchmarkId::from_parameter(n), |b| b.iter(&mut *work));
+            group.finish();
+        };
+        bench("index", &mut || {
+            black_box(NeighborIndex::new(points));
+        });
+        bench("spacing", &mut || {
+            black_box(spacing::median_spacing_m(&scene.index));
+        });
+        bench("normals", &mut || {
+            black_box(normals::estimate(points, &scene.index, 20, &silent).is_ok());
+        });
+        bench("outlier", &mut || {
+            let options = outlier::OutlierOptions::default();
+            let kept = outlier::remove_outliers(&scene.cloud, &scene.index, &options, &silent);
+            black_box(kept.is_ok());
+        });
+        bench("voxel", &mut || {
+            black_box(voxel::downsample(&scene.cloud, edge_m, &silent).is_ok());
+        });
+        bench("keypoints", &mut || {
+            let options = keypoints::IssOptions::default();
+            let found = keypoints::detect(&scene.cloud, &scene.index, &options, edge_m, &silent);
+            black_box(found.is_ok());
+        });
+        bench("evaluate", &mut || {
+            black_box(evaluate::nearest_distances(others, &scene.index, &silent).is_ok());
+        });
+        bench("fuse", &mut || {
+            let fused = fuse::fuse(
+                &scene.cloud,
+                &scene.index,
+                &other.cloud,
+                &other.index,
+                &Rigid::identity(),
+                &fuse::FuseOptions::default(),
+                &silent,
+            );
+            black_box(fused.is_ok());
+        });
+    }
+}
+
+criterion_group!(benches, stages);
+criterion_main!(benches);
