@@ -95,7 +95,7 @@ impl NeighborIndex {
     /// Replaces `out` with the points at most `radius_m` from `place`, by rising index.
     pub fn within(&self, place: &Point, radius_m: f64, out: &mut Vec<Neighbor>) {
         out.clear();
-        let radius_sq = radius_m * radius_m;
+        let radius_sq = radius_m * radius_m.abs(); // a negative radius reaches nothing
         self.tree.search(
             place,
             &mut Within {
@@ -109,7 +109,7 @@ impl NeighborIndex {
     /// Number of points at most `radius_m` from `place`; stops counting at `at_most`.
     pub fn count_within(&self, place: &Point, radius_m: f64, at_most: usize) -> usize {
         let mut count = Count {
-            radius_sq: radius_m * radius_m,
+            radius_sq: radius_m * radius_m.abs(),
             n_left: at_most,
         };
         self.tree.search(place, &mut count);
@@ -253,6 +253,7 @@ mod tests {
         let pairs: Vec<(u32, f64)> = found.iter().map(|n| (n.index, n.distance_sq)).collect();
         assert_eq!(pairs, [(0, 1.0), (1, 4.0)]);
         assert_eq!(index.nearest_within(&[0.0; 3], 0.99), None);
+        assert_eq!(index.count_within(&[0.0; 3], -9.0, 5), 0);
     }
 
     #[test]
