@@ -13,6 +13,7 @@ mod starts;
 
 pub use paper::{PaperBox, PaperSearchOptions, search_paper};
 pub use robust::{RobustSearchOptions, search_robust};
+pub(crate) use robust::{N_WITNESSES, WITNESS_RADIUS};
 
 use crate::rigid::Rigid;
 
