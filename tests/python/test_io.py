@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -241,6 +242,13 @@ def test_very_long_names(tmp_path: Path) -> None:
     assert len(read(path)) == 3
 
 
+def _write_two(path: Path, between: Callable[[], object], overwrite: bool = True) -> None:
+    with atomic_path(path, overwrite) as temporary:
+        temporary.write_text("half")
+        between()
+        temporary.write_text("whole")
+
+
 def test_atomic_path_for_other_files(tmp_path: Path) -> None:
     with atomic_path(tmp_path / "pose.json") as temporary:
         assert temporary.parent == tmp_path.resolve()
@@ -250,17 +258,18 @@ def test_atomic_path_for_other_files(tmp_path: Path) -> None:
     assert (tmp_path / "pose.json").read_text() == "{}"
     with pytest.raises(WriteError, match="exists already"), atomic_path(tmp_path / "pose.json"):
         pytest.fail("the block must not run")
-    with pytest.raises(ZeroDivisionError), atomic_path(tmp_path / "pose.json", overwrite=True) as temporary:
-        temporary.write_text("[]")
-        _ = 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        _write_two(tmp_path / "pose.json", lambda: 1 / 0)
     assert (tmp_path / "pose.json").read_text() == "{}"
     assert [file.name for file in tmp_path.iterdir()] == ["pose.json"]
 
 
 def test_a_file_that_appeared_meanwhile_is_not_replaced(tmp_path: Path) -> None:
-    with pytest.raises(WriteError, match="exists already"), atomic_path(tmp_path / "a.txt") as temporary:
-        temporary.write_text("ours")
+    def somebody_else() -> None:
         (tmp_path / "a.txt").write_text("theirs")
+
+    with pytest.raises(WriteError, match="exists already"):
+        _write_two(tmp_path / "a.txt", somebody_else, overwrite=False)
     assert (tmp_path / "a.txt").read_text() == "theirs"
     assert [file.name for file in tmp_path.iterdir()] == ["a.txt"]
 

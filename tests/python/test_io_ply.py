@@ -1,4 +1,4 @@
-"""PLY: spellings of the header, byte orders, damage; plyfile is the independent judge where it is installed."""
+"""PLY: spellings of the header, byte orders, damage; plyfile is the judge where it is installed."""
 
 from __future__ import annotations
 
@@ -76,7 +76,8 @@ def test_every_type_and_any_order_of_properties(tmp_path: Path, encoding: str) -
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_only_the_vertices_are_read(tmp_path: Path, encoding: str) -> None:
-    extra = "element face 2\nproperty list uchar int vertex_indices\nelement range_grid 4\nproperty list uchar int v"
+    extra = "element face 2\nproperty list uchar int vertex_indices\n"
+    extra += "element range_grid 4\nproperty list uchar int vertex_indices"
     data = ply_bytes(encoding, DOUBLES, ROWS, extra, tail=b"3 0 1 2\n3 2 1 0\n1 0\n0\n1 1\n1 2\n")
     assert len(read_bytes(tmp_path, data)) == 3
 

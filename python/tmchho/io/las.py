@@ -1,4 +1,4 @@
-"""LAS and LAZ: reading. The header is checked in `las_header`, LAZ is unpacked in `laz`, written in `las_write`.
+"""LAS and LAZ: reading. `las_header` checks the header, `laz` unpacks, `las_write` writes.
 
 Why every dimension is kept: surveyors lose time, class and intensity in most programs; here they come out as
 they went in, extra bytes and flags included.
