@@ -25,7 +25,6 @@ AXES = ("x", "y", "z")
 # Looked up in lower case without blanks, underscores and CloudCompare's prefix "scalar_".
 _CANONICAL_NAMES = {
     **{axis: axis for axis in AXES},
-    **{"r": "red", "g": "green", "b": "blue", "a": "alpha"},
     **{"diffusered": "red", "diffusegreen": "green", "diffuseblue": "blue"},
     **{"normalx": "nx", "normaly": "ny", "normalz": "nz"},
     **{"returnnum": "return_number", "numreturns": "number_of_returns", "infrared": "nir"},
@@ -41,6 +40,9 @@ _CANONICAL_NAMES = {
 }
 
 
+_COLOUR_LETTERS = {"r": "red", "g": "green", "b": "blue", "a": "alpha"}
+
+
 def canonical_name(name: str) -> str:
     """Return the name this package uses for a file's field; unknown names stay as they are.
 
@@ -54,10 +56,18 @@ def canonical_name(name: str) -> str:
 
 
 def canonical_names(names: Sequence[str]) -> list[str]:
-    """Return canonical names without repetition: a later double keeps its own spelling or gets a number."""
+    """Return canonical names without repetition: a later double keeps its own spelling or gets a number.
+
+    The letters r, g, b and a mean colours only where the first three stand together.
+    """
+    letters = _COLOUR_LETTERS if {"r", "g", "b"} <= {name.lower() for name in names} else {}
     taken: list[str] = []
     for name in names:
-        options = [canonical_name(name), name, *(f"{name}_{number}" for number in range(2, len(names) + 2))]
+        options = [
+            letters.get(name.lower(), canonical_name(name)),
+            name,
+            *(f"{name}_{number}" for number in range(2, len(names) + 2)),
+        ]
         taken.append(next(option for option in options if option not in taken))
     return taken
 
@@ -79,8 +89,9 @@ def cloud_from_columns(
             "name the coordinates x, y and z"
         )
     xyz = np.empty((len(columns["x"]), 3))
-    for index, axis in enumerate(AXES):
-        xyz[:, index] = columns[axis]
+    with np.errstate(invalid="ignore"):  # a damaged float may be a NaN that "signals"
+        for index, axis in enumerate(AXES):
+            xyz[:, index] = columns[axis]
     attributes = {key: values for key, values in columns.items() if key not in AXES}
     return PointCloud(xyz, attributes, metadata=metadata, name=name)
 

@@ -191,8 +191,10 @@ def _unpack(head: bytes, records: tuple[Record, ...], extended: tuple[Record, ..
 
 
 def _check_numbers(header: LasHeader) -> None:
-    numbers = (*header.scales, *header.offsets)
-    if not all(map(math.isfinite, numbers)) or 0.0 in header.scales:
+    reach = [
+        abs(scale) * 2**31 + abs(offset) for scale, offset in zip(header.scales, header.offsets, strict=True)
+    ]
+    if not all(map(math.isfinite, reach)) or 0.0 in header.scales:
         raise ReadError(
             f"has a damaged header (scale {header.scales}, offset {header.offsets}); export it again"
         )

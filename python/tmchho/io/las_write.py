@@ -30,22 +30,15 @@ _NAME_BYTES = 31
 _WKT_BIT = 16  # of the global encoding
 _MAX_RECORD_BYTES = 65535
 
-# Point formats by what their points carry beyond the basics; the second number is the LAS version needed.
-_LEGACY_FORMATS = {
-    frozenset[str](): (0, (1, 1)),
-    frozenset({"time"}): (1, (1, 1)),
-    frozenset({"colour"}): (2, (1, 2)),
-    frozenset({"time", "colour"}): (3, (1, 2)),
-    frozenset({"time", "wave"}): (4, (1, 3)),
-    frozenset({"time", "colour", "wave"}): (5, (1, 3)),
-}
-_EXTENDED_FORMATS = {
-    frozenset({"time"}): (6, (1, 4)),
-    frozenset({"time", "colour"}): (7, (1, 4)),
-    frozenset({"time", "colour", "nir"}): (8, (1, 4)),
-    frozenset({"time", "wave"}): (9, (1, 4)),
-    frozenset({"time", "colour", "nir", "wave"}): (10, (1, 4)),
-}
+# What the points of formats 0 to 10 carry beyond the basics, and the oldest version that has the format.
+_FEATURES = (
+    *(set[str](), {"time"}, {"colour"}, {"time", "colour"}, {"time", "wave"}, {"time", "colour", "wave"}),
+    *({"time"}, {"time", "colour"}, {"time", "colour", "nir"}),
+    *({"time", "wave"}, {"time", "colour", "nir", "wave"}),
+)
+_OLDEST_VERSIONS = ((1, 1), (1, 1), (1, 2), (1, 2), (1, 3), (1, 3), *[(1, 4)] * 5)
+_EXTENDED = 6  # the first of the formats of LAS 1.4, with longer fields
+
 # Largest values that only the extended formats hold, after the largest of the legacy ones.
 _EXTENDED_LIMITS = {
     **{"classification": (31, 255), "return_number": (7, 15), "number_of_returns": (7, 15)},
@@ -69,7 +62,7 @@ def write_las(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
     attributes = _colours_as_16_bit(attributes_to_write(cloud, blanks=True))
     number, version = _choose_format(attributes, old)
     is_compressed = path.suffix.lower() == ".laz"
-    if is_compressed and "wave" in _features(number):
+    if is_compressed and "wave" in _FEATURES[number]:
         raise WriteError(f"LAZ cannot hold the waveforms of point format {number}; choose .las")
     standard, extra = _sorted_out(attributes, laspy.PointFormat(number), kept.get("extra_dimensions", ()))
     if old is None:
@@ -83,7 +76,7 @@ def write_las(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
     header.add_extra_dims([dimension.parameters for dimension, _ in extra])
     records, extended_records = _records(cloud, kept, old, version)
     header.vlrs = [_for_laspy(record) for record in records]
-    if any(record.key == WKT for record in records) and number >= 6:
+    if any(record.key == WKT for record in records) and number >= _EXTENDED:
         header.global_encoding.value |= _WKT_BIT
     points = _points(cloud, grid, standard, extra, header.point_format)
     with laspy.open(path, "w", header=header, do_compress=is_compressed) as writer:
@@ -109,24 +102,20 @@ def _is_share(values: NDArray[Any]) -> bool:
     return values.dtype.kind == "f" and bool(((values >= 0) & (values <= 1)).all())
 
 
-def _features(number: int) -> frozenset[str]:
-    formats = {**_LEGACY_FORMATS, **_EXTENDED_FORMATS}
-    return next(features for features, (candidate, _) in formats.items() if candidate == number)
-
-
 def _choose_format(attributes: dict[str, NDArray[Any]], old: LasHeader | None) -> tuple[int, tuple[int, int]]:
     """Return the point format and version: those of the old file, raised only where they hold too little."""
-    features = set(_features(old.point_format)) if old else {"time"}
-    features |= {"time"} if "gps_time" in attributes else set()
-    features |= {"colour"} if any(name in attributes for name in COLOURS) else set()
-    features |= {"colour", "nir"} if "nir" in attributes else set()
-    is_extended = old is None or old.point_format >= 6 or "nir" in features or _needs_extended(attributes)
-    if is_extended:
-        features |= {"time"} | ({"nir"} if {"wave", "colour"} <= features else set())
-    number, version = (_EXTENDED_FORMATS if is_extended else _LEGACY_FORMATS)[frozenset(features)]
+    needed = set(_FEATURES[old.point_format if old else _EXTENDED])
+    needed |= {"time"} if "gps_time" in attributes else set()
+    needed |= {"colour"} if any(name in attributes for name in COLOURS) else set()
+    needed |= {"nir"} if "nir" in attributes else set()
+    is_extended = (
+        old is None or old.point_format >= _EXTENDED or "nir" in needed or _needs_extended(attributes)
+    )
+    candidates = range(_EXTENDED, 11) if is_extended else range(_EXTENDED)
+    number = next(candidate for candidate in candidates if needed <= _FEATURES[candidate])
     if old is None:
-        return number, version
-    version = max(version, old.version)
+        return number, _OLDEST_VERSIONS[number]
+    version = max(_OLDEST_VERSIONS[number], old.version)
     if (number, version) != (old.point_format, old.version):
         logger.info(
             "LAS %d.%d point format %d holds too little; using LAS %d.%d point format %d",
