@@ -133,7 +133,11 @@ pub fn agreement(
 ) -> Agreement {
     let forth = count(moving, fixed.cloud, pose, max_distance_m);
     let back = count(fixed, moving.cloud, &pose.inverse(), max_distance_m);
-    let smaller = if moving.len() <= fixed.len() { moving } else { fixed };
+    let smaller = if moving.len() <= fixed.len() {
+        moving
+    } else {
+        fixed
+    };
     let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
     Agreement {
         inlier_share: share(forth.n_inliers + back.n_inliers, 2.0 * smaller.len() as f64),
@@ -165,7 +169,12 @@ fn count(from: &Witnesses<'_>, to: &SurfaceCloud, to_from: &Rigid, max_distance_
         };
         let normal = to_from.rotate(&from.cloud.surfaces[i].normal);
         let other = &to.surfaces[partner.index as usize].normal;
-        if (0..3).map(|axis| normal[axis] * other[axis]).sum::<f64>().abs() > MIN_COSINE {
+        if (0..3)
+            .map(|axis| normal[axis] * other[axis])
+            .sum::<f64>()
+            .abs()
+            > MIN_COSINE
+        {
             count.n_inliers += 1.0;
             count.inlier_weight += weight;
         }
@@ -253,7 +262,12 @@ mod tests {
         );
     }
 
-    fn agree(moving: &SurfaceCloud, fixed: &SurfaceCloud, pose: &Rigid, distance: f64) -> Agreement {
+    fn agree(
+        moving: &SurfaceCloud,
+        fixed: &SurfaceCloud,
+        pose: &Rigid,
+        distance: f64,
+    ) -> Agreement {
         let [a, b] =
             Witnesses::of_both([moving, fixed], 400, 0.1, 0.03, &Progress::silent()).unwrap();
         agreement(&a, &b, pose, distance)
@@ -263,10 +277,22 @@ mod tests {
     fn a_cloud_agrees_with_itself_and_not_with_itself_far_away() {
         let cloud = surfaces(&bumpy(800, 3));
         let here = agree(&cloud, &cloud, &Rigid::identity(), 0.01);
-        assert_eq!(here, Agreement { inlier_share: 1.0, score: 1.0 });
+        assert_eq!(
+            here,
+            Agreement {
+                inlier_share: 1.0,
+                score: 1.0
+            }
+        );
         let away = Rigid::from_euler([0.0; 3], [10.0, 0.0, 0.0]);
         let there = agree(&cloud, &cloud, &away, 0.01);
-        assert_eq!(there, Agreement { inlier_share: 0.0, score: 0.0 });
+        assert_eq!(
+            there,
+            Agreement {
+                inlier_share: 0.0,
+                score: 0.0
+            }
+        );
         let supported = support(&cloud, &cloud, &Rigid::identity(), 0.01);
         assert_eq!((supported.n_inliers, supported.inlier_rmse_m), (800, 0.0));
         assert_eq!(support(&cloud, &cloud, &away, 0.01).n_inliers, 0);
@@ -280,7 +306,10 @@ mod tests {
         let as_given = Rigid::identity().between_local_coordinates(moving.origin, fixed.origin);
         let forth = agree(&moving, &fixed, &as_given, 0.01);
         let back = agree(&fixed, &moving, &as_given.inverse(), 0.01);
-        assert!(forth.inlier_share > 0.85 && forth.inlier_share < 1.15, "{forth:?}");
+        assert!(
+            forth.inlier_share > 0.85 && forth.inlier_share < 1.15,
+            "{forth:?}"
+        );
         assert!((forth.score - back.score).abs() < 1e-12);
     }
 
@@ -295,8 +324,10 @@ mod tests {
             Witnesses::of_both([&cloud, &cloud], 2500, 0.08, 0.02, &Progress::silent()).unwrap();
         let x = |i: usize| cloud.points()[i][0] + cloud.origin[0];
         let mean = |near: fn(f64) -> bool| {
-            let chosen: Vec<f64> =
-                (0..2500).filter(|i| near(x(*i))).map(|i| witnesses.weights[i]).collect();
+            let chosen: Vec<f64> = (0..2500)
+                .filter(|i| near(x(*i)))
+                .map(|i| witnesses.weights[i])
+                .collect();
             chosen.iter().sum::<f64>() / chosen.len() as f64
         };
         assert!(mean(|x| (x - 0.5).abs() < 0.02) > 10.0 * mean(|x| x < 0.2));

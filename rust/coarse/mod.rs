@@ -12,8 +12,8 @@ mod robust;
 mod starts;
 
 pub use paper::{PaperBox, PaperSearchOptions, search_paper};
-pub use robust::{RobustSearchOptions, search_robust};
 pub(crate) use robust::{N_WITNESSES, WITNESS_RADIUS};
+pub use robust::{RobustSearchOptions, search_robust};
 
 use crate::rigid::Rigid;
 

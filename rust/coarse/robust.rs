@@ -152,7 +152,8 @@ pub fn search_robust(
     };
     let mut search = Search::new(moving, fixed, unit_m, seed)?;
     // The pose that the files already have is always among the candidates.
-    let as_given = Rigid::identity().between_local_coordinates(moving.cloud.origin, fixed.cloud.origin);
+    let as_given =
+        Rigid::identity().between_local_coordinates(moving.cloud.origin, fixed.cloud.origin);
     let mut given = vec![as_given, Rigid::identity()];
     for (round, n_rotations) in options.rotations_per_round.iter().enumerate() {
         let mut poses = search.descend(round, *n_rotations, progress)?;
@@ -266,7 +267,9 @@ impl<'a> Search<'a> {
         // Both clouds at the density at which the second sample shows the moving one.
         let some_moving = self.moving.sample(N_SECOND);
         let share = some_moving.len() as f64 / self.moving.len() as f64;
-        let some_fixed = self.fixed.sample((self.fixed.len() as f64 * share).ceil() as usize);
+        let some_fixed = self
+            .fixed
+            .sample((self.fixed.len() as f64 * share).ceil() as usize);
         let second = parallel::map(shortlist.len(), |i| {
             let pose = descent::to_points(
                 some_moving,
