@@ -40,3 +40,8 @@ pub use config::Config;
 pub use error::{Error, Result};
 pub use pipeline::{Registration, register};
 pub use rigid::Rigid;
+
+/// Runs the README's Rust example as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct ReadmeExamples;
