@@ -8,8 +8,11 @@
 //! Absent on purpose: any search.
 
 use crate::cloud::{Point, distance_sq};
-use crate::neighbors::NeighborIndex;
+use crate::error::Result;
+use crate::neighbors::{Neighbor, NeighborIndex};
+use crate::normals::{self, Surface};
 use crate::point_to_plane::PlaneSums;
+use crate::progress::Progress;
 use crate::rigid::Rigid;
 use crate::surface_cloud::SurfaceCloud;
 
@@ -44,151 +47,134 @@ pub fn rms_below(source: &[Point], target: &NeighborIndex, pose: &Rigid, limit: 
     (sum / n).sqrt()
 }
 
+/// The points of a cloud that testify to a pose: its first ones, each with a weight.
+///
+/// Planes agree anywhere along themselves, so a point weighs by the curvature of the surface round
+/// it, looked at from far enough that noise does not count as shape.
+#[derive(Debug)]
+pub struct Witnesses<'a> {
+    /// The cloud.
+    pub cloud: &'a SurfaceCloud,
+    /// One weight for each of its first points.
+    pub weights: Vec<f64>,
+}
+
+impl<'a> Witnesses<'a> {
+    /// Witnesses of two clouds at one density: about `n` of the cloud with fewer points, and the
+    /// same share of the other's. `radius_m` is how far a surface is looked at, `spacing_m` the
+    /// distance of the clouds' points.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub fn of_both(
+        clouds: [&'a SurfaceCloud; 2],
+        n: usize,
+        radius_m: f64,
+        spacing_m: f64,
+        progress: &Progress<'_>,
+    ) -> Result<[Self; 2]> {
+        let n_smaller = clouds[0].len().min(clouds[1].len()).max(1);
+        let share = (n as f64 / n_smaller as f64).min(1.0);
+        let [first, second] = clouds.map(|cloud| -> Result<Self> {
+            let n = (cloud.len() as f64 * share).ceil() as usize;
+            let weights = curvature_weights(cloud, n, radius_m, spacing_m, progress)?;
+            Ok(Self { cloud, weights })
+        });
+        Ok([first?, second?])
+    }
+
+    /// Number of witnesses.
+    pub fn len(&self) -> usize {
+        self.weights.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.weights.is_empty()
+    }
+}
+
+/// Planes weigh little, but not nothing: a scene of planes alone can still be scored.
+fn curvature_weights(
+    cloud: &SurfaceCloud,
+    n: usize,
+    radius_m: f64,
+    spacing_m: f64,
+    progress: &Progress<'_>,
+) -> Result<Vec<f64>> {
+    const FULL_WEIGHT_CURVATURE: f64 = 0.04;
+    const LEAST_WEIGHT: f64 = 0.03;
+    /// So many neighbours tell a curvature; more would only cost.
+    const N_NEIGHBORS: f64 = 60.0;
+    let n_within = std::f64::consts::PI * (radius_m / spacing_m).powi(2);
+    let thinned = cloud.sample((cloud.len() as f64 * (N_NEIGHBORS / n_within).min(1.0)) as usize);
+    let index = NeighborIndex::new(thinned);
+    let surfaces = normals::estimate_within(cloud.sample(n), &index, radius_m, 3, progress)?;
+    let weight = |s: &Surface| (s.curvature / FULL_WEIGHT_CURVATURE).min(1.0) + LEAST_WEIGHT;
+    Ok(surfaces.iter().map(weight).collect())
+}
+
 /// How far two clouds agree at a pose, counted in both directions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Agreement {
-    /// Points of both clouds with a partner within the distance and with an agreeing normal, by
-    /// twice the number of points of the smaller cloud; 0 to about 1.
+    /// Witnesses of both clouds with a partner within the distance and with an agreeing normal, by
+    /// twice the number of witnesses of the cloud with fewer; 0 to about 1.
     pub inlier_share: f64,
-    /// The same with every point weighted by the curvature of its surface: planes, which agree
-    /// anywhere along themselves, count little. Compares poses of one pair of clouds.
+    /// The same by weight. Compares poses of one pair of clouds.
     pub score: f64,
-    /// Share of the moving points with a partner, whatever its normal.
-    pub overlap_of_moving: f64,
-    /// Share of the fixed points with a partner, whatever its normal.
-    pub overlap_of_fixed: f64,
-    /// Number of moving points with a partner, whatever its normal.
-    pub n_moving_with_partner: usize,
-    /// Root mean squared distance of the moving points that have a partner; 0 where none has.
-    pub inlier_rmse: f64,
 }
 
-/// Which part of the clouds is looked at: the first so many points of each. The order of the points
-/// should be random, and both numbers the same share of their clouds.
-#[derive(Debug, Clone, Copy)]
-pub struct Sample {
-    /// Points of the moving cloud.
-    pub n_moving: usize,
-    /// Points of the fixed cloud.
-    pub n_fixed: usize,
-}
-
-/// Counts partners within `max_distance` at `pose` (fixed from moving).
+/// Counts partners within `max_distance_m` at `pose` (fixed from moving).
 pub fn agreement(
-    moving: &SurfaceCloud,
-    fixed: &SurfaceCloud,
+    moving: &Witnesses<'_>,
+    fixed: &Witnesses<'_>,
     pose: &Rigid,
-    max_distance: f64,
-    sample: Sample,
+    max_distance_m: f64,
 ) -> Agreement {
-    let max_sq = max_distance * max_distance;
-    let n_moving = sample.n_moving.min(moving.len());
-    let n_fixed = sample.n_fixed.min(fixed.len());
-    let forth = count(moving, fixed, pose, max_sq, max_distance, n_moving);
-    let back = count(
-        fixed,
-        moving,
-        &pose.inverse(),
-        max_sq,
-        max_distance,
-        n_fixed,
-    );
-    let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
-    let (n_smaller, weight_of_smaller) = if n_moving <= n_fixed {
-        (n_moving, forth.weight)
+    let forth = count(moving, fixed.cloud, pose, max_distance_m);
+    let back = count(fixed, moving.cloud, &pose.inverse(), max_distance_m);
+    let smaller = if moving.len() <= fixed.len() {
+        moving
     } else {
-        (n_fixed, back.weight)
+        fixed
     };
+    let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
     Agreement {
-        inlier_share: share(forth.n_inliers + back.n_inliers, 2.0 * n_smaller as f64),
+        inlier_share: share(forth.n_inliers + back.n_inliers, 2.0 * smaller.len() as f64),
         score: share(
             forth.inlier_weight + back.inlier_weight,
-            2.0 * weight_of_smaller,
+            2.0 * smaller.weights.iter().sum::<f64>(),
         ),
-        overlap_of_moving: share(forth.n_near, n_moving as f64),
-        overlap_of_fixed: share(back.n_near, n_fixed as f64),
-        n_moving_with_partner: forth.n_near as usize,
-        inlier_rmse: share(forth.near_sq, forth.n_near).sqrt(),
-    }
-}
-
-/// How firmly the common surface holds the pose: the point-to-plane information matrix about the
-/// middle of the moving points that have a partner, and their mean distance from that middle.
-#[derive(Debug, Clone, Copy)]
-pub struct Hold {
-    /// The normal equations.
-    pub planes: PlaneSums,
-    /// Root mean squared distance of the points from their middle.
-    pub radius_m: f64,
-}
-
-/// Sums up what holds `moving` on `fixed` at `pose`, over partners within `max_distance`.
-pub fn hold(moving: &SurfaceCloud, fixed: &SurfaceCloud, pose: &Rigid, max_distance: f64) -> Hold {
-    let max_sq = max_distance * max_distance;
-    let held: Vec<(Point, Point)> = moving
-        .points()
-        .iter()
-        .map(|p| pose.apply(p))
-        .filter_map(|p| {
-            let partner = fixed.index.nearest_within(&p, max_sq)?;
-            Some((p, fixed.surfaces[partner.index as usize].normal))
-        })
-        .collect();
-    let n = held.len().max(1) as f64;
-    let mut middle = [0.0; 3];
-    for (p, _) in &held {
-        (0..3).for_each(|axis| middle[axis] += p[axis] / n);
-    }
-    let mut planes = PlaneSums::default();
-    let mut squared = 0.0;
-    for (p, normal) in &held {
-        let about = std::array::from_fn(|axis| p[axis] - middle[axis]);
-        planes.add(&about, &about, normal, 1.0);
-        squared += distance_sq(p, &middle);
-    }
-    Hold {
-        planes,
-        radius_m: (squared / n).sqrt(),
     }
 }
 
 #[derive(Default)]
 struct Count {
-    weight: f64,
-    inlier_weight: f64,
     n_inliers: f64,
-    n_near: f64,
-    near_sq: f64,
+    inlier_weight: f64,
 }
 
-fn count(
-    from: &SurfaceCloud,
-    to: &SurfaceCloud,
-    to_from: &Rigid,
-    max_sq: f64,
-    max_distance: f64,
-    n: usize,
-) -> Count {
+fn count(from: &Witnesses<'_>, to: &SurfaceCloud, to_from: &Rigid, max_distance_m: f64) -> Count {
     /// Normals agree within 37°, whichever way they point.
     const MIN_COSINE: f64 = 0.8;
+    let max_sq = max_distance_m * max_distance_m;
     let mut count = Count::default();
-    for (p, surface) in from.points()[..n].iter().zip(&from.surfaces) {
-        let weight = curvature_weight(surface.curvature);
-        count.weight += weight;
-        let moved = to_from.apply(p);
-        if !to.is_near_box(&moved, max_distance) {
+    for (i, weight) in from.weights.iter().enumerate() {
+        let moved = to_from.apply(&from.cloud.points()[i]);
+        if !to.is_near_box(&moved, max_distance_m) {
             continue;
         }
         let Some(partner) = to.index.nearest_within(&moved, max_sq) else {
             continue;
         };
-        count.n_near += 1.0;
-        count.near_sq += partner.distance_sq;
-        let (a, b) = (
-            to_from.rotate(&surface.normal),
-            to.surfaces[partner.index as usize].normal,
-        );
-        if (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]).abs() > MIN_COSINE {
+        let normal = to_from.rotate(&from.cloud.surfaces[i].normal);
+        let other = &to.surfaces[partner.index as usize].normal;
+        if (0..3)
+            .map(|axis| normal[axis] * other[axis])
+            .sum::<f64>()
+            .abs()
+            > MIN_COSINE
+        {
             count.n_inliers += 1.0;
             count.inlier_weight += weight;
         }
@@ -196,11 +182,52 @@ fn count(
     count
 }
 
-/// Planes weigh little, but not nothing: a scene of planes alone can still be scored.
-fn curvature_weight(curvature: f64) -> f64 {
-    const FULL_WEIGHT_CURVATURE: f64 = 0.04;
-    const LEAST_WEIGHT: f64 = 0.03;
-    (curvature / FULL_WEIGHT_CURVATURE).min(1.0) + LEAST_WEIGHT
+/// What of the moving cloud lies on the fixed one at a pose, and how firmly that holds the pose.
+#[derive(Debug, Clone, Copy)]
+pub struct Support {
+    /// Moving points with a partner.
+    pub n_inliers: usize,
+    /// Root mean squared distance of those pairs; 0 where there are none.
+    pub inlier_rmse_m: f64,
+    /// The point-to-plane normal equations of those pairs about their middle.
+    pub planes: PlaneSums,
+    /// Root mean squared distance of those points from their middle.
+    pub radius_m: f64,
+}
+
+/// Looks at all points of `moving` that have a partner within `max_distance_m` at `pose`.
+pub fn support(
+    moving: &SurfaceCloud,
+    fixed: &SurfaceCloud,
+    pose: &Rigid,
+    max_distance_m: f64,
+) -> Support {
+    let max_sq = max_distance_m * max_distance_m;
+    let pairs: Vec<(Point, Neighbor)> = moving
+        .points()
+        .iter()
+        .map(|p| pose.apply(p))
+        .filter_map(|p| Some((p, fixed.index.nearest_within(&p, max_sq)?)))
+        .collect();
+    let n = pairs.len().max(1) as f64;
+    let mut middle = [0.0; 3];
+    for (p, _) in &pairs {
+        (0..3).for_each(|axis| middle[axis] += p[axis] / n);
+    }
+    let mut support = Support {
+        n_inliers: pairs.len(),
+        inlier_rmse_m: (pairs.iter().map(|(_, q)| q.distance_sq).sum::<f64>() / n).sqrt(),
+        planes: PlaneSums::default(),
+        radius_m: 0.0,
+    };
+    for (p, partner) in &pairs {
+        let about = std::array::from_fn(|axis| p[axis] - middle[axis]);
+        let normal = &fixed.surfaces[partner.index as usize].normal;
+        support.planes.add(&about, &about, normal, 1.0);
+        support.radius_m += distance_sq(p, &middle) / n;
+    }
+    support.radius_m = support.radius_m.sqrt();
+    support
 }
 
 #[cfg(test)]
@@ -235,39 +262,74 @@ mod tests {
         );
     }
 
-    #[test]
-    fn a_cloud_agrees_with_itself_and_not_with_itself_far_away() {
-        let cloud = surfaces(&bumpy(800, 3));
-        let sample = Sample {
-            n_moving: 800,
-            n_fixed: 800,
-        };
-        let here = agreement(&cloud, &cloud, &Rigid::identity(), 0.01, sample);
-        assert_eq!((here.inlier_share, here.overlap_of_moving), (1.0, 1.0));
-        assert_eq!(here.inlier_rmse, 0.0);
-        let away = Rigid::from_euler([0.0; 3], [10.0, 0.0, 0.0]);
-        let there = agreement(&cloud, &cloud, &away, 0.01, sample);
-        assert_eq!(
-            (there.inlier_share, there.score, there.overlap_of_fixed),
-            (0.0, 0.0, 0.0)
-        );
+    fn agree(
+        moving: &SurfaceCloud,
+        fixed: &SurfaceCloud,
+        pose: &Rigid,
+        distance: f64,
+    ) -> Agreement {
+        let [a, b] =
+            Witnesses::of_both([moving, fixed], 400, 0.1, 0.03, &Progress::silent()).unwrap();
+        agreement(&a, &b, pose, distance)
     }
 
     #[test]
-    fn half_a_cloud_on_the_whole_counts_half_of_the_fixed_one() {
+    fn a_cloud_agrees_with_itself_and_not_with_itself_far_away() {
+        let cloud = surfaces(&bumpy(800, 3));
+        let here = agree(&cloud, &cloud, &Rigid::identity(), 0.01);
+        assert_eq!(
+            here,
+            Agreement {
+                inlier_share: 1.0,
+                score: 1.0
+            }
+        );
+        let away = Rigid::from_euler([0.0; 3], [10.0, 0.0, 0.0]);
+        let there = agree(&cloud, &cloud, &away, 0.01);
+        assert_eq!(
+            there,
+            Agreement {
+                inlier_share: 0.0,
+                score: 0.0
+            }
+        );
+        let supported = support(&cloud, &cloud, &Rigid::identity(), 0.01);
+        assert_eq!((supported.n_inliers, supported.inlier_rmse_m), (800, 0.0));
+        assert_eq!(support(&cloud, &cloud, &away, 0.01).n_inliers, 0);
+    }
+
+    #[test]
+    fn half_a_cloud_on_the_whole_is_no_worse_than_the_whole_on_the_half() {
         let whole = bumpy(1000, 4);
         let half: Vec<Point> = whole.iter().copied().filter(|p| p[0] < 0.5).collect();
-        let (n_moving, n_fixed) = (half.len(), whole.len());
         let (moving, fixed) = (surfaces(&half), surfaces(&whole));
         let as_given = Rigid::identity().between_local_coordinates(moving.origin, fixed.origin);
-        let found = agreement(
-            &moving,
-            &fixed,
-            &as_given,
-            1e-9,
-            Sample { n_moving, n_fixed },
+        let forth = agree(&moving, &fixed, &as_given, 0.01);
+        let back = agree(&fixed, &moving, &as_given.inverse(), 0.01);
+        assert!(
+            forth.inlier_share > 0.85 && forth.inlier_share < 1.15,
+            "{forth:?}"
         );
-        assert_eq!(found.overlap_of_moving, 1.0);
-        assert_eq!(found.overlap_of_fixed, n_moving as f64 / n_fixed as f64);
+        assert!((forth.score - back.score).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_ridge_weighs_more_than_a_floor() {
+        let ridge: Vec<Point> = (0..2500)
+            .map(|i| [f64::from(i % 50) / 50.0, f64::from(i / 50) / 50.0])
+            .map(|[x, y]| [x, y, (0.2 - (x - 0.5).abs()).max(0.0)])
+            .collect();
+        let cloud = surfaces(&ridge);
+        let [witnesses, _] =
+            Witnesses::of_both([&cloud, &cloud], 2500, 0.08, 0.02, &Progress::silent()).unwrap();
+        let x = |i: usize| cloud.points()[i][0] + cloud.origin[0];
+        let mean = |near: fn(f64) -> bool| {
+            let chosen: Vec<f64> = (0..2500)
+                .filter(|i| near(x(*i)))
+                .map(|i| witnesses.weights[i])
+                .collect();
+            chosen.iter().sum::<f64>() / chosen.len() as f64
+        };
+        assert!(mean(|x| (x - 0.5).abs() < 0.02) > 10.0 * mean(|x| x < 0.2));
     }
 }

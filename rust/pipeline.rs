@@ -9,7 +9,7 @@ use crate::coarse::{self, CoarseResult};
 use crate::config::{Config, Mode};
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
-use crate::fitness::{Sample, agreement, hold};
+use crate::fitness::{Witnesses, agreement, support};
 use crate::fuse::{FuseOptions, FusedCloud, fuse};
 use crate::icp::{IcpResult, IcpStop, icp};
 use crate::keypoints::{self, RADIUS_IN_VOXELS};
@@ -173,11 +173,19 @@ fn route(
         .unwrap_or(SUPPORT_IN_VOXELS * voxel_size_m);
     config.resolve(voxel_size_m, max_distance_m);
 
+    let [source_witnesses, target_witnesses] = Witnesses::of_both(
+        [&source_surface, &target_surface],
+        coarse::N_WITNESSES,
+        coarse::WITNESS_RADIUS * unit_m,
+        voxel_size_m,
+        progress,
+    )?;
+
     let found = match config.mode {
         Mode::Robust => {
             log.begin(Stage::Coarse)?;
             let (seed, options) = (config.seed, &config.coarse);
-            let (source, target) = (&source_surface, &target_surface);
+            let (source, target) = (&source_witnesses, &target_witnesses);
             coarse::search_robust(source, target, unit_m, options, seed, progress)?
         }
         Mode::Paper => {
@@ -221,19 +229,8 @@ fn route(
     log.keep();
 
     log.begin(Stage::Verdict)?;
-    let agreed = |pose: &Rigid| {
-        let sample = Sample {
-            n_moving: source_surface.len(),
-            n_fixed: target_surface.len(),
-        };
-        agreement(
-            &source_surface,
-            &target_surface,
-            pose,
-            max_distance_m,
-            sample,
-        )
-    };
+    let agreed =
+        |pose: &Rigid| agreement(&source_witnesses, &target_witnesses, pose, max_distance_m);
     let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source));
     // Robust mode keeps ICP's pose only where it is no worse; the paper always takes it.
     let (pose, agreed) = if config.mode == Mode::Paper || after.score >= before.score {
@@ -241,11 +238,11 @@ fn route(
     } else {
         (coarse_pose, before)
     };
-    let held = hold(&source_surface, &target_surface, &pose, max_distance_m);
+    let support = support(&source_surface, &target_surface, &pose, max_distance_m);
     let strength = Strength::new(
-        &held.planes.information(),
-        held.planes.weight(),
-        held.radius_m,
+        &support.planes.information(),
+        support.planes.weight(),
+        support.radius_m,
     );
     let judgement = judge(
         &Evidence {
@@ -280,9 +277,9 @@ fn route(
         target_pivot,
         verdict: judgement.verdict,
         reasons: judgement.reasons,
-        fitness: agreed.overlap_of_moving,
-        inlier_rmse_m: agreed.inlier_rmse,
-        n_inliers: agreed.n_moving_with_partner,
+        fitness: support.n_inliers as f64 / source_surface.len() as f64,
+        inlier_rmse_m: support.inlier_rmse_m,
+        n_inliers: support.n_inliers,
         overlap_of_source: share_within(&source_to_target, max_distance_m),
         overlap_of_target: share_within(&target_to_source, max_distance_m),
         inlier_share: agreed.inlier_share,

@@ -12,6 +12,7 @@ mod robust;
 mod starts;
 
 pub use paper::{PaperBox, PaperSearchOptions, search_paper};
+pub(crate) use robust::{N_WITNESSES, WITNESS_RADIUS};
 pub use robust::{RobustSearchOptions, search_robust};
 
 use crate::rigid::Rigid;

@@ -14,7 +14,7 @@ use super::{Candidate, CoarseResult, differ};
 use crate::cloud::Point;
 use crate::distance_field::NearestGrid;
 use crate::error::{Error, Result, require_at_least, require_positive};
-use crate::fitness::{Agreement, Sample, agreement};
+use crate::fitness::{Agreement, Witnesses, agreement};
 use crate::parallel;
 use crate::progress::{Event, Progress, Stage};
 use crate::random::Stream;
@@ -62,11 +62,14 @@ const GRID_MARGIN: f64 = 0.15;
 const MAX_CELLS: usize = 2_000_000;
 
 /// Points of the moving cloud that take part in the first descent, the second, the refinement on
-/// the grid and the verification.
+/// the grid and the last one.
 const N_FIRST: usize = 64;
 const N_SECOND: usize = 256;
 const N_REFINED: usize = 1500;
-const N_VERIFIED: usize = 4000;
+const N_FINISHED: usize = 4000;
+/// Witnesses of the cloud with fewer points, and how far, as a share of the unit, each looks round.
+pub(crate) const N_WITNESSES: usize = 4000;
+pub(crate) const WITNESS_RADIUS: f64 = 0.035;
 
 /// Poses that go on to the second descent.
 const N_SHORTLIST: usize = 300;
@@ -132,8 +135,8 @@ pub(crate) const STANDING_OUT_SHARE: f64 = 0.30;
 /// [`Error::InvalidArgument`] for options out of range; [`Error::NoSolution`] where no start led
 /// anywhere; [`Error::Cancelled`].
 pub fn search_robust(
-    source: &SurfaceCloud,
-    target: &SurfaceCloud,
+    source: &Witnesses<'_>,
+    target: &Witnesses<'_>,
     unit_m: f64,
     options: &RobustSearchOptions,
     seed: u64,
@@ -141,7 +144,7 @@ pub fn search_robust(
 ) -> Result<CoarseResult> {
     options.check()?;
     require_positive("unit_m", unit_m)?;
-    let source_moves = source.len() <= target.len();
+    let source_moves = source.cloud.len() <= target.cloud.len();
     let (moving, fixed) = if source_moves {
         (source, target)
     } else {
@@ -149,7 +152,8 @@ pub fn search_robust(
     };
     let mut search = Search::new(moving, fixed, unit_m, seed)?;
     // The pose that the files already have is always among the candidates.
-    let as_given = Rigid::identity().between_local_coordinates(moving.origin, fixed.origin);
+    let as_given =
+        Rigid::identity().between_local_coordinates(moving.cloud.origin, fixed.cloud.origin);
     let mut given = vec![as_given, Rigid::identity()];
     for (round, n_rotations) in options.rotations_per_round.iter().enumerate() {
         let mut poses = search.descend(round, *n_rotations, progress)?;
@@ -173,6 +177,7 @@ struct Verified {
 struct Search<'a> {
     moving: &'a SurfaceCloud,
     fixed: &'a SurfaceCloud,
+    witnesses: [&'a Witnesses<'a>; 2],
     moving_grid: NearestGrid,
     fixed_grid: NearestGrid,
     unit_m: f64,
@@ -185,11 +190,13 @@ struct Search<'a> {
 
 impl<'a> Search<'a> {
     fn new(
-        moving: &'a SurfaceCloud,
-        fixed: &'a SurfaceCloud,
+        moving: &'a Witnesses<'a>,
+        fixed: &'a Witnesses<'a>,
         unit_m: f64,
         seed: u64,
     ) -> Result<Self> {
+        let witnesses = [moving, fixed];
+        let [moving, fixed] = witnesses.map(|w| w.cloud);
         let grid = |cloud: &SurfaceCloud| {
             NearestGrid::new(
                 cloud.points(),
@@ -204,6 +211,7 @@ impl<'a> Search<'a> {
         Ok(Self {
             moving,
             fixed,
+            witnesses,
             moving_grid: grid(moving)?,
             fixed_grid: grid(fixed)?,
             unit_m,
@@ -213,16 +221,6 @@ impl<'a> Search<'a> {
             n_evaluations: 0,
             n_rounds: 0,
         })
-    }
-
-    /// The points of both clouds at the density at which `n_moving` sample the moving one.
-    fn sample(&self, n_moving: usize) -> Sample {
-        let (n_all, n_fixed) = (self.moving.len(), self.fixed.len());
-        let n_moving = n_moving.min(n_all);
-        Sample {
-            n_moving,
-            n_fixed: (n_fixed * n_moving).div_ceil(n_all),
-        }
     }
 
     /// One round of starts, down to distinct basins, best first.
@@ -266,11 +264,12 @@ impl<'a> Search<'a> {
             }
         })?;
         let shortlist = distinct(first, N_SHORTLIST, SAME_BASIN * unit_m);
-        let some = self.sample(N_SECOND);
-        let (some_moving, some_fixed) = (
-            self.moving.sample(some.n_moving),
-            self.fixed.sample(some.n_fixed),
-        );
+        // Both clouds at the density at which the second sample shows the moving one.
+        let some_moving = self.moving.sample(N_SECOND);
+        let share = some_moving.len() as f64 / self.moving.len() as f64;
+        let some_fixed = self
+            .fixed
+            .sample((self.fixed.len() as f64 * share).ceil() as usize);
         let second = parallel::map(shortlist.len(), |i| {
             let pose = descent::to_points(
                 some_moving,
@@ -284,7 +283,7 @@ impl<'a> Search<'a> {
                 &pose,
                 SECOND_TRUNCATION * unit_m,
             );
-            let back = self.missed_share(some_fixed, &pose, some.n_moving);
+            let back = self.missed_share(some_fixed, &pose, some_moving.len());
             Scored {
                 cost: forth + back,
                 pose,
@@ -314,7 +313,6 @@ impl<'a> Search<'a> {
 
     /// Refines `poses`, counts the agreement at each, and refines the best of all rounds further.
     fn verify(&mut self, poses: &[Rigid], progress: &Progress<'_>) -> Result<()> {
-        let sample = self.sample(N_VERIFIED);
         let points = self.moving.sample(N_REFINED);
         let (surfaces, grid, unit_m) = (&self.moving.surfaces, &self.fixed_grid, self.unit_m);
         let refined = parallel::map(poses.len(), |i| {
@@ -327,7 +325,7 @@ impl<'a> Search<'a> {
                 pose,
                 REFINE_PLANES.times(unit_m),
             );
-            Ok(self.verified(pose, sample, false))
+            Ok(self.verified(pose, false))
         });
         let mut n_done = 0;
         for verified in refined {
@@ -359,7 +357,6 @@ impl<'a> Search<'a> {
     /// Refines the leading poses with exact partners until the best one and its best rival are
     /// refined: a pose that slides into the best one was no rival.
     fn finish_leaders(&mut self, progress: &Progress<'_>) -> Result<()> {
-        let sample = self.sample(N_VERIFIED);
         for _ in 0..MAX_FINISHING_TURNS {
             let leaders: Vec<Rigid> = self
                 .distinct_verified()
@@ -370,7 +367,7 @@ impl<'a> Search<'a> {
             if leaders.is_empty() {
                 break;
             }
-            let points = self.moving.sample(N_VERIFIED);
+            let points = self.moving.sample(N_FINISHED);
             let finished = parallel::map(leaders.len(), |i| {
                 progress.check()?;
                 let pose = descent::to_planes_exactly(
@@ -380,7 +377,7 @@ impl<'a> Search<'a> {
                     leaders[i],
                     REFINE_EXACTLY.times(self.unit_m),
                 );
-                Ok(self.verified(pose, sample, true))
+                Ok(self.verified(pose, true))
             });
             self.n_evaluations += leaders.len() * (REFINE_EXACTLY.n_steps + 1);
             // What was refined replaces what it was refined from.
@@ -393,9 +390,9 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
-    fn verified(&self, pose: Rigid, sample: Sample, is_final: bool) -> Verified {
+    fn verified(&self, pose: Rigid, is_final: bool) -> Verified {
         let distance = VERIFY_DISTANCE * self.unit_m;
-        let agreement = agreement(self.moving, self.fixed, &pose, distance, sample);
+        let agreement = agreement(self.witnesses[0], self.witnesses[1], &pose, distance);
         Verified {
             pose,
             agreement,

@@ -64,6 +64,15 @@ impl Tree {
         }
     }
 
+    /// Number of points in the largest pile; 0 where no points coincide.
+    pub(super) fn largest_pile(&self) -> usize {
+        let size = |node: &Node| match node {
+            Node::Pile { start, end } => (end - start) as usize,
+            _ => 0,
+        };
+        self.nodes.iter().map(size).max().unwrap_or(0)
+    }
+
     /// Offers to `collector` every point within its reach.
     pub(super) fn search(&self, place: &Point, collector: &mut impl Collector) {
         if self.entries.is_empty() {
