@@ -66,7 +66,7 @@ const MAX_CELLS: usize = 2_000_000;
 const N_FIRST: usize = 64;
 const N_SECOND: usize = 256;
 const N_REFINED: usize = 1500;
-const N_FINISHED: usize = 4000;
+const N_FINISHED: usize = 3000;
 /// Witnesses of the cloud with fewer points, and how far, as a share of the unit, each looks round.
 pub(crate) const N_WITNESSES: usize = 4000;
 pub(crate) const WITNESS_RADIUS: f64 = 0.035;
@@ -75,7 +75,7 @@ pub(crate) const WITNESS_RADIUS: f64 = 0.035;
 const N_SHORTLIST: usize = 300;
 /// Poses refined with exact partners at the end of a round.
 const N_FINALISTS: usize = 4;
-const MAX_FINISHING_TURNS: usize = 6;
+const MAX_FINISHING_TURNS: usize = 10;
 
 const FIRST: Shrinking = Shrinking {
     first: 0.2,
@@ -98,9 +98,9 @@ const REFINE_PLANES: Shrinking = Shrinking {
     n_steps: 7,
 };
 const REFINE_EXACTLY: Shrinking = Shrinking {
-    first: 0.02,
+    first: 0.05,
     last: 0.006,
-    n_steps: 20,
+    n_steps: 24,
 };
 
 /// Truncation of the cost that ranks the first descents, and the second ones.
