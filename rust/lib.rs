@@ -34,6 +34,8 @@ pub mod voxel;
 // Floor 3: the route.
 pub mod config;
 pub mod pipeline;
+#[cfg(feature = "python")]
+mod python;
 
 pub use cloud::{Cloud, Point};
 pub use config::Config;

@@ -9,7 +9,7 @@ use crate::random::Stream;
 
 /// Neighbours from which a normal is estimated: enough to average noise over a few voxels, few
 /// enough not to round off the edges on which registration rests.
-const N_NORMAL_NEIGHBORS: usize = 16;
+pub(crate) const N_NORMAL_NEIGHBORS: usize = 16;
 
 /// Points about their centroid in random order, the surface at each of them, their neighbours.
 ///

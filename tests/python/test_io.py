@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import errno
 import os
 import stat
 from collections.abc import Callable
@@ -11,8 +13,8 @@ import numpy as np
 import pytest
 import tmchho.io
 from tmchho.cloud import PointCloud
-from tmchho.errors import InvalidArgumentError, InvalidCloudError, ReadError, WriteError
-from tmchho.io import atomic_path, check_writable_folder, known_extensions, read, write
+from tmchho.errors import BudgetError, InvalidArgumentError, InvalidCloudError, ReadError, WriteError
+from tmchho.io import atomic_path, check_writable_folder, known_extensions, ply, read, registry, write
 from tmchho.io import las as las_module
 
 # Numbers as a national grid has them, with digits that float32 would lose.
@@ -181,23 +183,41 @@ def test_an_input_is_never_replaced(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
-@pytest.mark.parametrize("extension", WRITABLE)
-@pytest.mark.parametrize("raised", [KeyboardInterrupt, OSError, RuntimeError, MemoryError])
+@pytest.mark.parametrize(
+    ("raised", "expected", "words"),
+    [
+        (KeyboardInterrupt(), KeyboardInterrupt, ""),
+        (
+            OSError(errno.ENOSPC, "No space left on device"),
+            WriteError,
+            "(No space left on device); check",
+        ),
+        (MemoryError(), BudgetError, "more memory than there is"),
+        (RuntimeError("boom"), WriteError, "cannot be written as PLY (boom)"),
+        (WriteError("the reason"), WriteError, "the reason"),
+    ],
+)
 def test_nothing_is_left_behind_by_a_failure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, extension: str, raised: type[BaseException]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    raised: BaseException,
+    expected: type[BaseException],
+    words: str,
 ) -> None:
-    path = tmp_path / f"a{extension}"
+    path = tmp_path / "a.ply"
     write(cloud(), path)
     before = path.read_bytes()
 
-    def fail(*_: object) -> None:
+    def fail(_: PointCloud, temporary: Path, __: object) -> None:
+        temporary.write_text("half a file")
         raise raised
 
-    monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(BaseException) as caught:  # noqa: PT011 - several kinds
+    monkeypatch.setitem(registry._BY_EXTENSION, ".ply", dataclasses.replace(ply.FORMAT, write=fail))
+    with pytest.raises(expected) as caught:
         write(cloud(), path, overwrite=True)
-    assert (caught.type is KeyboardInterrupt) == (raised is KeyboardInterrupt)
-    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+    assert words in str(caught.value)
+    assert isinstance(raised, KeyboardInterrupt) or str(caught.value).startswith(f"{path}: ")
+    assert [file.name for file in tmp_path.iterdir()] == ["a.ply"]
     assert path.read_bytes() == before
 
 

@@ -62,15 +62,17 @@ def write_las(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
     attributes = _colours_as_16_bit(attributes_to_write(cloud, blanks=True))
     number, version = _choose_format(attributes, old)
     is_compressed = path.suffix.lower() == ".laz"
-    if is_compressed and "wave" in _FEATURES[number]:
-        raise WriteError(f"LAZ cannot hold the waveforms of point format {number}; choose .las")
+    if "wave" in _FEATURES[number]:
+        if is_compressed:
+            raise WriteError(f"LAZ cannot hold the waveforms of point format {number}; choose .las")
+        logger.warning("the points keep their places in the waveform data, which itself is not copied")
     standard, extra = _sorted_out(attributes, laspy.PointFormat(number), kept.get("extra_dimensions", ()))
     if old is None:
         grid = new_grid(cloud.xyz)
         standard.setdefault("return_number", np.ones(len(cloud), dtype=np.uint8))
         standard.setdefault("number_of_returns", np.ones(len(cloud), dtype=np.uint8))
     else:
-        grid = kept_grid(cloud.xyz, old.scales, old.offsets, is_own=cloud.metadata.get("header") is old)
+        grid = kept_grid(cloud.xyz, old.scales, old.offsets, is_own=cloud.metadata.get("header") == old)
 
     header = _new_header(number, version, old, grid)
     header.add_extra_dims([dimension.parameters for dimension, _ in extra])

@@ -66,6 +66,8 @@ def _read_array(stream: IO[bytes], n_bytes: int) -> NDArray[Any]:
     shape, _, dtype = read_header(stream)
     if dtype.hasobject:
         raise ReadError("holds Python objects, which are never loaded; save plain numbers")
+    if any(length < 0 for length in shape):
+        raise ReadError(f"has the impossible shape {shape}; save it again")
     n_rows = shape[0] if shape else 1
     row_bytes = dtype.itemsize
     for length in shape[1:]:

@@ -164,7 +164,7 @@ def _text_columns(body: bytes, header: _Header) -> list[NDArray[Any]]:
     first = body.lstrip().partition(b"\n")[0]
     n_columns = sum(field.count for field in header.fields)
     table = parse_table(
-        body.replace(b"\r", b"\n"),
+        body.replace(b"\r\n", b"\n").replace(b"\r", b"\n"),
         n_columns,
         separator="," if b"," in first else None,
         first_line=header.n_lines + 1,

@@ -86,6 +86,10 @@ def read(path: str | os.PathLike[str], *, format: str | None = None) -> PointClo
         If the points do not fit into memory.
     """
     path = Path(path)
+    if not os.path.exists(path):
+        raise ReadError(f"{path}: does not exist; check the name and the folder")
+    if path.is_dir():
+        raise ReadError(f"{path}: is a folder; name a file in it")
     family = _format_to_read(path, format)
     with _reading(path, family):
         head = _head_of(path)
@@ -141,7 +145,7 @@ def write(
         raise InvalidCloudError(f"{cloud.name}: has no points to write to {path}")
     if cloud.crs is not None and family is not las.FORMAT:
         logger.info("%s: %s has no room for the coordinate reference system", path, family.name)
-    with _writing(path, family), atomic_path(path, overwrite, inputs) as temporary:
+    with atomic_path(path, overwrite, inputs) as temporary, _writing(path, family):
         family.write(cloud, temporary, (cloud if like is None else like).metadata)
     logger.info("%s: wrote %d points", path, len(cloud))
 
@@ -153,12 +157,11 @@ def _format_to_read(path: Path, format: str | None) -> Format:
             raise InvalidArgumentError(f"format '{format}' is not one of {_listed(known_extensions())}")
         return _BY_EXTENSION[extension]
     family = _BY_EXTENSION.get(path.suffix.lower())
-    # A missing file is the better explanation of a mistyped name.
-    if family is None and path.exists() and not path.is_dir():
+    if family is None:
         raise ReadError(
             f"{path}: unknown extension '{path.suffix}'; the known ones are {_listed(known_extensions())}"
         )
-    return family or text.FORMAT
+    return family
 
 
 def _format_to_write(path: Path) -> Format:
@@ -173,8 +176,6 @@ def _format_to_write(path: Path) -> Format:
 
 
 def _head_of(path: Path) -> bytes:
-    if path.is_dir():
-        raise ReadError("is a folder; name a file in it")
     with path.open("rb") as stream:
         head = stream.read(_HEAD_BYTES)
     if not head:
@@ -207,8 +208,6 @@ def _reading(path: Path, family: Format) -> Iterator[None]:
         raise ReadError(f"{path}: {error}") from error.__cause__
     except TmchhoError:
         raise
-    except FileNotFoundError:
-        raise ReadError(f"{path}: does not exist; check the name and the folder") from None
     except MemoryError as error:
         raise BudgetError(f"{path}: does not fit into memory; thin it out or cut it into tiles") from error
     except OSError as error:
@@ -227,9 +226,8 @@ def _writing(path: Path, family: Format) -> Iterator[None]:
     try:
         yield
     except WriteError as error:
-        message = str(error) if str(error).startswith(str(path)) else f"{path}: {error}"
-        raise WriteError(message) from error.__cause__
-    except TmchhoError:
+        raise WriteError(f"{path}: {error}") from error.__cause__
+    except (TmchhoError, OSError):
         raise
     except MemoryError as error:
         raise BudgetError(f"{path}: writing needs more memory than there is; write fewer points") from error

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tmchho.errors import ReadError
+
+_BLANK_LINE = re.compile(rb"^[ \t]*\n", re.MULTILINE)
 
 
 def parse_table(
@@ -52,10 +55,12 @@ def parse_table(
         return np.empty((0, len(wanted)))
     if max_rows is not None:
         max_rows = min(max_rows, body.count(b"\n") + 1)  # numpy makes room for all of them at once
+    # numpy complains about blank lines; for messages they stay, so that line numbers stay right.
+    rows = _BLANK_LINE.sub(b"", body) if _BLANK_LINE.search(body) else body
     try:
         # Without `usecols` numpy insists on lines of equal length, which is the check that is needed.
         table = np.loadtxt(
-            io.BytesIO(body),
+            io.BytesIO(rows),
             delimiter=separator,
             comments=None,
             quotechar='"',

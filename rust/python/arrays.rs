@@ -1,0 +1,75 @@
+//! Arrays in and out, without copies where that is possible.
+//!
+//! The package hands over (n, 3) float64 C-contiguous arrays and nothing else, so that a wrong shape
+//! can be explained where the names of files and arguments are known.
+
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+
+use crate::cloud::Point;
+use crate::error::Error;
+use crate::rigid::Rigid;
+
+/// An array that is read only while the function runs.
+pub(super) type ReadArray<'py> = PyReadonlyArray2<'py, f64>;
+/// A vector that is read only while the function runs.
+pub(super) type ReadVector<'py> = PyReadonlyArray1<'py, f64>;
+
+/// The points of an (n, 3) array, in place.
+pub(super) fn points<'a>(array: &'a ReadArray<'_>) -> PyResult<&'a [Point]> {
+    Ok(array.as_slice()?.as_chunks().0)
+}
+
+/// The pose of a (4, 4) array.
+pub(super) fn pose(array: &ReadArray<'_>) -> PyResult<Rigid> {
+    let rows: &[[f64; 4]] = array.as_slice()?.as_chunks().0;
+    let matrix = rows.try_into().map_err(|_| {
+        Error::argument(
+            "the 4×4 transformation",
+            format!("has {} rows of four numbers", rows.len()),
+        )
+    })?;
+    Ok(Rigid::from_matrix4(matrix)?)
+}
+
+/// An (n, 3) array.
+pub(super) fn from_points(py: Python<'_>, points: Vec<Point>) -> PyResult<Bound<'_, PyAny>> {
+    let n_points = points.len();
+    let array = PyArray1::from_vec(py, points.into_flattened()).reshape([n_points, 3])?;
+    Ok(array.into_any())
+}
+
+/// A (4, 4) array.
+pub(super) fn from_pose<'py>(py: Python<'py>, pose: &Rigid) -> Bound<'py, PyAny> {
+    let rows = pose.to_matrix4();
+    PyArray2::from_owned_array(py, numpy::ndarray::arr2(&rows)).into_any()
+}
+
+/// An array of one dimension.
+pub(super) fn from_vec<T: numpy::Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, PyAny> {
+    PyArray1::from_vec(py, values).into_any()
+}
+
+/// One value for each of the rows given: those of the finite points in their order, and `nothing`
+/// where a coordinate is not finite.
+pub(super) fn for_given_rows<T: Copy>(given: &[Point], values: Vec<T>, nothing: T) -> Vec<T> {
+    let mut values = values.into_iter();
+    let value_of = |p: &Point| {
+        let is_finite = p.iter().all(|v| v.is_finite());
+        is_finite
+            .then(|| values.next())
+            .flatten()
+            .unwrap_or(nothing)
+    };
+    given.iter().map(value_of).collect()
+}
+
+/// A dictionary from names to values of all kinds.
+macro_rules! dict {
+    ($py:expr, $($name:literal: $value:expr),+ $(,)?) => {{
+        let dict = pyo3::types::PyDict::new($py);
+        $(dict.set_item($name, $value)?;)+
+        dict
+    }};
+}
+pub(super) use dict;

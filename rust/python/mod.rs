@@ -1,0 +1,44 @@
+//! The Python extension module `tmchho._core`: the only room that has Python in it.
+//!
+//! Why: there is one pipeline, in Rust; Python gets it as functions of arrays, and the package round
+//! them (python/tmchho/) adds types, files and words. Nothing is computed here.
+//! Reads: (n, 3) float64 C-contiguous arrays, options as JSON. Leaves: arrays and plain values.
+//! Absent on purpose: defaults, and checks that the crate makes anyway.
+
+mod arrays;
+mod config;
+mod errors;
+mod optim;
+mod registration;
+mod run;
+mod stages;
+
+use pyo3::prelude::*;
+
+/// The Rust core of `tmchho`; use the functions of the package instead.
+#[pymodule(gil_used = false)]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_function(wrap_pyfunction!(config::default_config, module)?)?;
+    module.add_function(wrap_pyfunction!(config::complete_config, module)?)?;
+    module.add_function(wrap_pyfunction!(registration::register, module)?)?;
+    module.add_function(wrap_pyfunction!(registration::evaluate, module)?)?;
+    module.add_function(wrap_pyfunction!(registration::fuse, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::remove_outliers, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::voxel_downsample, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::iss_keypoints, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::estimate_normals, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::icp, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::kabsch, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::rms_fitness, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::nearest_distances, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::median_spacing, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::euler_to_matrix, module)?)?;
+    module.add_function(wrap_pyfunction!(stages::matrix_to_euler, module)?)?;
+    module.add_function(wrap_pyfunction!(optim::minimize, module)?)?;
+    module.add_function(wrap_pyfunction!(optim::benchmark_functions, module)?)?;
+    module.add_function(wrap_pyfunction!(optim::benchmark_value, module)?)?;
+    module.add_function(wrap_pyfunction!(optim::chaotic_sequence, module)?)?;
+    module.add_function(wrap_pyfunction!(optim::levy_steps, module)?)?;
+    Ok(())
+}

@@ -1,0 +1,168 @@
+//! The route, the distances at a pose, and fusion.
+
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+use super::arrays::{
+    ReadArray, dict, for_given_rows, from_points, from_pose, from_vec, points, pose,
+};
+use super::config::{options, word};
+use super::errors::as_argument;
+use super::run::{briefly, with_progress};
+use crate::config::Config;
+use crate::evaluate::{DistanceStatistics, share_within};
+use crate::pipeline;
+
+/// Registers `source` onto `target`.
+#[pyfunction]
+pub(super) fn register<'py>(
+    py: Python<'py>,
+    source: ReadArray<'py>,
+    target: ReadArray<'py>,
+    config_json: &str,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let config = briefly(|| Ok(Config::from_json(config_json)?))?;
+    let (source, target) = (points(&source)?, points(&target)?);
+    let found = with_progress(py, progress, |progress| {
+        pipeline::register(source, target, &config, progress)
+    })?;
+    briefly(|| registration(py, found))
+}
+
+fn registration(py: Python<'_>, found: pipeline::Registration) -> PyResult<Bound<'_, PyDict>> {
+    let candidates = PyList::empty(py);
+    for (pose, score) in &found.candidates {
+        candidates.append((from_pose(py, pose), score))?;
+    }
+    let stages = PyList::empty(py);
+    for record in &found.stages {
+        stages.append(dict! { py,
+            "name": record.stage.name(),
+            "n_source_in": record.n_source.0,
+            "n_source_out": record.n_source.1,
+            "n_target_in": record.n_target.0,
+            "n_target_out": record.n_target.1,
+            "seconds": record.seconds,
+        })?;
+    }
+    Ok(dict! { py,
+        "transformation": from_pose(py, &found.target_from_source),
+        "pivot_transformation": from_pose(py, &found.about_pivots),
+        "source_pivot": from_vec(py, found.source_pivot.to_vec()),
+        "target_pivot": from_vec(py, found.target_pivot.to_vec()),
+        "verdict": found.verdict.name(),
+        "reasons": found.reasons,
+        "fitness": found.fitness,
+        "inlier_rmse": found.inlier_rmse_m,
+        "n_inliers": found.n_inliers,
+        "overlap_of_source": found.overlap_of_source,
+        "overlap_of_target": found.overlap_of_target,
+        "inlier_share": found.inlier_share,
+        "ambiguity_ratio": found.ambiguity_ratio,
+        "strength": found.strength.weakest,
+        "weakest_direction": found.strength.words(),
+        "candidates": candidates,
+        "n_evaluations": found.n_evaluations,
+        "history": from_vec(py, found.history),
+        "icp_stop_reason": word(found.icp_stop),
+        "n_icp_iterations": found.n_icp_iterations,
+        "icp_history": from_vec(py, found.icp_history),
+        "source_to_target": statistics(py, &found.source_to_target)?,
+        "target_to_source": statistics(py, &found.target_to_source)?,
+        "n_non_finite": found.n_non_finite,
+        "outlier_radius": found.outlier_radius_m,
+        "voxel_size": found.voxel_size_m,
+        "max_distance": found.max_distance_m,
+        "stages": stages,
+        "config_json": found.config.to_json(),
+    })
+}
+
+fn statistics<'py>(
+    py: Python<'py>,
+    statistics: &DistanceStatistics,
+) -> PyResult<Bound<'py, PyDict>> {
+    Ok(dict! { py,
+        "n_points": statistics.n_points,
+        "mean": statistics.mean_m,
+        "best": statistics.best_m,
+        "worst": statistics.worst_m,
+        "std": statistics.std_m,
+        "rms": statistics.rms_m,
+        "median": statistics.median_m,
+        "percentile_95": statistics.percentile_95_m,
+    })
+}
+
+/// Distances between two clouds at a pose, one for each row given.
+#[pyfunction]
+pub(super) fn evaluate<'py>(
+    py: Python<'py>,
+    source: ReadArray<'py>,
+    target: ReadArray<'py>,
+    transformation: ReadArray<'py>,
+    tolerance: Option<f64>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let (source, target) = (points(&source)?, points(&target)?);
+    let target_from_source = briefly(|| pose(&transformation))?;
+    let directions = with_progress(py, None, |progress| {
+        let found = pipeline::evaluate(source, target, &target_from_source, progress)?;
+        let directions = [
+            (source, found.source_to_target_m),
+            (target, found.target_to_source_m),
+        ];
+        let mut summed_up = Vec::new();
+        for (given, distances_m) in directions {
+            let statistics = DistanceStatistics::from_distances(&distances_m);
+            let share = tolerance.map(|tolerance| share_within(&distances_m, tolerance));
+            let rows = for_given_rows(given, distances_m, f64::NAN);
+            summed_up.push((rows, statistics, share));
+        }
+        Ok(summed_up)
+    })?;
+    briefly(|| {
+        let result = PyDict::new(py);
+        for (name, (rows, summary, share)) in ["source_to_target", "target_to_source"]
+            .iter()
+            .zip(directions)
+        {
+            let summary = summary
+                .map(|summary| statistics(py, &summary))
+                .transpose()?;
+            result.set_item(name, (from_vec(py, rows), summary, share))?;
+        }
+        Ok(result)
+    })
+}
+
+/// One cloud from two, at a pose.
+#[pyfunction]
+pub(super) fn fuse<'py>(
+    py: Python<'py>,
+    source: ReadArray<'py>,
+    target: ReadArray<'py>,
+    transformation: ReadArray<'py>,
+    options_json: &str,
+) -> PyResult<Bound<'py, PyDict>> {
+    let (source, target) = (points(&source)?, points(&target)?);
+    let target_from_source = briefly(|| pose(&transformation))?;
+    let options = briefly(|| Ok(options(options_json)?))?;
+    let fused = with_progress(py, None, |progress| {
+        pipeline::fuse_clouds(source, target, &target_from_source, &options, progress)
+            .map_err(as_argument)
+    })?;
+    briefly(|| {
+        let origin: Vec<u8> = fused.origin.iter().map(|origin| *origin as u8).collect();
+        Ok(dict! { py,
+            "points": from_points(py, fused.points)?,
+            "origin": from_vec(py, origin),
+            "index": from_vec(py, fused.given_index),
+            "fills_hole": from_vec(py, fused.fills_hole),
+            "distance": from_vec(py, fused.distance_m),
+            "hole_radius": fused.hole_radius_m,
+            "n_filled_by_source": fused.n_filled_by_source,
+            "n_filled_by_target": fused.n_filled_by_target,
+        })
+    })
+}
