@@ -66,7 +66,7 @@ const MAX_CELLS: usize = 2_000_000;
 const N_FIRST: usize = 64;
 const N_SECOND: usize = 256;
 const N_REFINED: usize = 1500;
-const N_FINISHED: usize = 3000;
+const N_FINISHED: usize = 1500;
 /// Witnesses of the cloud with fewer points, and how far, as a share of the unit, each looks round.
 pub(crate) const N_WITNESSES: usize = 4000;
 pub(crate) const WITNESS_RADIUS: f64 = 0.035;
@@ -244,9 +244,13 @@ impl<'a> Search<'a> {
             REACH * unit_m,
         );
         let n_starts = rotations.len() * places.len();
-        let few = self.moving.sample(N_FIRST);
+        let points = self.moving.points();
+        let n_first = N_FIRST.min(points.len());
+        let n_samples = points.len() / n_first;
         let first = parallel::map_cheap(n_starts, progress, |i| {
             let mut stream = Stream::new(seed, "jitter", (round_index << 32) + i as u64);
+            // Every start looks at other points, so that no unlucky sample spoils them all.
+            let few = &points[i % n_samples * n_first..][..n_first];
             let place = places[i / rotations.len()];
             let start = Rigid {
                 rotation: rotations[i % rotations.len()],
