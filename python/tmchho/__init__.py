@@ -1,1 +1,122 @@
-"""Register cross-source 3D point clouds without targets and without an initial guess."""
+"""Register cross-source 3D point clouds without targets and without an initial guess.
+
+Start with `register`; `read` and `write` know the usual file formats, and `simulate` makes a pair of clouds
+to try it on.
+"""
+
+from tmchho import simulate
+from tmchho._core import __version__
+from tmchho.cloud import PointCloud
+from tmchho.config import (
+    Config,
+    FuseOptions,
+    HawkOptions,
+    IcpOptions,
+    IssOptions,
+    OutlierOptions,
+    PaperSearchOptions,
+    RobustSearchOptions,
+    VerdictOptions,
+    VoxelOptions,
+    default_config,
+)
+from tmchho.errors import (
+    BudgetError,
+    InvalidArgumentError,
+    InvalidCloudError,
+    NoSolutionError,
+    ReadError,
+    StoppedError,
+    TmchhoError,
+    WriteError,
+)
+from tmchho.fused import FusedCloud
+from tmchho.inputs import CloudLike
+from tmchho.io import read, write
+from tmchho.optimize import (
+    BenchmarkFunction,
+    MinimizeResult,
+    benchmark_functions,
+    benchmark_value,
+    minimize,
+)
+from tmchho.pipeline import evaluate, fuse, register
+from tmchho.progress import ProgressEvent
+from tmchho.results import Candidate, DistanceStatistics, Evaluation, Registration, StageRecord
+from tmchho.stages import (
+    IcpResult,
+    OutlierResult,
+    VoxelResult,
+    chaotic_sequence,
+    estimate_normals,
+    euler_to_matrix,
+    icp,
+    iss_keypoints,
+    kabsch,
+    levy_steps,
+    matrix_to_euler,
+    median_spacing,
+    nearest_distances,
+    remove_outliers,
+    rms_fitness,
+    voxel_downsample,
+)
+
+__all__ = [
+    "BenchmarkFunction",
+    "BudgetError",
+    "Candidate",
+    "CloudLike",
+    "Config",
+    "DistanceStatistics",
+    "Evaluation",
+    "FuseOptions",
+    "FusedCloud",
+    "HawkOptions",
+    "IcpOptions",
+    "IcpResult",
+    "InvalidArgumentError",
+    "InvalidCloudError",
+    "IssOptions",
+    "MinimizeResult",
+    "NoSolutionError",
+    "OutlierOptions",
+    "OutlierResult",
+    "PaperSearchOptions",
+    "PointCloud",
+    "ProgressEvent",
+    "ReadError",
+    "Registration",
+    "RobustSearchOptions",
+    "StageRecord",
+    "StoppedError",
+    "TmchhoError",
+    "VerdictOptions",
+    "VoxelOptions",
+    "VoxelResult",
+    "WriteError",
+    "__version__",
+    "benchmark_functions",
+    "benchmark_value",
+    "chaotic_sequence",
+    "default_config",
+    "estimate_normals",
+    "euler_to_matrix",
+    "evaluate",
+    "fuse",
+    "icp",
+    "iss_keypoints",
+    "kabsch",
+    "levy_steps",
+    "matrix_to_euler",
+    "median_spacing",
+    "minimize",
+    "nearest_distances",
+    "read",
+    "register",
+    "remove_outliers",
+    "rms_fitness",
+    "simulate",
+    "voxel_downsample",
+    "write",
+]

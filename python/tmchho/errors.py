@@ -47,3 +47,9 @@ class BudgetError(TmchhoError, MemoryError):
     """The work would need more memory or time than allowed; the message says how much."""
 
     exit_code = 6
+
+
+class StoppedError(TmchhoError):
+    """The caller's own progress callback asked to stop; there is no result."""
+
+    exit_code = 130

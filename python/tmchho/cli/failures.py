@@ -1,0 +1,101 @@
+"""How a command ends: one clear sentence on stderr and an exit code that a script can trust."""
+
+from __future__ import annotations
+
+import errno
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import click
+
+from tmchho.errors import BudgetError, TmchhoError
+
+INTERNAL, NOT_ACCEPTED, INTERRUPTED = 1, 4, 130
+
+EXIT_CODES = """\b
+Exit codes:
+  0    done; for a registration: the pose is accepted
+  1    internal error
+  2    wrong usage: an option, an argument or a configuration key
+  3    an input file cannot be read, or its points cannot be registered
+  4    not accepted: a person must look (review), or the pose is wrong (rejected), or none was found
+  5    the output cannot be written
+  6    more memory would be needed than there is
+  130  interrupted
+"""
+
+_DEBUG = "tmchho.debug"
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class Commands(click.Group):
+    """A group of commands that turns every error into its sentence and its exit code."""
+
+    def invoke(self, context: click.Context) -> Any:
+        """Run the command that was asked for."""
+        try:
+            with _termination_as_interrupt():
+                return super().invoke(context)
+        except (click.exceptions.Exit, click.Abort, click.ClickException, SystemExit, GeneratorExit):
+            raise  # click's own ways out
+        except BaseException as error:  # a panic in Rust does not derive from Exception
+            if isinstance(error, OSError) and error.errno == errno.EPIPE:
+                raise  # nobody reads our output any more: click ends quietly
+            if context.meta.get(_DEBUG):
+                click.echo(traceback.format_exc(), err=True, nl=False)
+            message, code = _explained(error)
+            click.echo(f"tmchho: {message}", err=True)
+            context.exit(code)
+
+
+def _explained(error: BaseException) -> tuple[str, int]:
+    """Return the sentence for an error, and the exit code."""
+    what = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted; no unfinished file is left", INTERRUPTED
+    if isinstance(error, TmchhoError):
+        return f"error: {what}", error.exit_code
+    if isinstance(error, MemoryError):
+        return "error: not enough memory; thin the clouds out or cut them into tiles", BudgetError.exit_code
+    return f"error: unexpected {type(error).__name__}: {what}; run with --debug for the traceback", INTERNAL
+
+
+def debug_option(command: Command) -> Command:
+    """Give a command the flag ``--debug``."""
+
+    def remember(context: click.Context, _option: click.Parameter, wanted: bool) -> None:
+        if wanted:
+            context.meta[_DEBUG] = True
+
+    return click.option(
+        "--debug",
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=remember,
+        help="Show every log message, and the traceback of an error.",
+    )(command)
+
+
+def wants_debug() -> bool:
+    """Return whether the command that is running was given ``--debug``."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(_DEBUG))
+
+
+@contextmanager
+def _termination_as_interrupt() -> Iterator[None]:
+    """Let a polite request to end (SIGTERM) clean up as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)

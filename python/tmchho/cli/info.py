@@ -1,0 +1,147 @@
+"""`tmchho info`: what is in a file, and what looks wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tmchho.cli.crs import crs_name, is_geographic
+from tmchho.cli.display import display
+from tmchho.cli.failures import debug_option
+from tmchho.cli.options import PATH, json_option, quiet_option
+from tmchho.errors import TmchhoError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from tmchho import PointCloud
+
+# A float32 step longer than this share of the spacing shows in the shape of surfaces.
+_VISIBLE_STEP = 0.02
+# Degrees look like a needle: metres upwards, thousandths sideways.
+_NEEDLE = 1000.0
+
+
+@click.command(short_help="Tell what is in files and what looks wrong.")
+@click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE...")
+@json_option
+@quiet_option
+@debug_option
+def info(files: tuple[Path, ...], as_json: bool, quiet: bool) -> None:
+    """Tell what is in each FILE: points, extent, spacing, CRS, attributes, and what looks wrong."""
+    from tmchho import read
+    from tmchho.outputs import json_text
+
+    described: list[dict[str, Any]] = []
+    exit_code = 0
+    with display(quiet) as shown:
+        for path in files:
+            try:
+                with shown.step("read", f"reading {path}"):
+                    cloud = read(path)
+                with shown.step("look", f"looking at {path}"):
+                    described.append(describe(cloud))
+            except TmchhoError as error:  # the others are still worth a look
+                shown.fail(str(error))
+                exit_code = exit_code or error.exit_code
+    if as_json:
+        click.echo(json_text({"files": described}), nl=False)
+    elif described:
+        click.echo("\n\n".join(map(_in_words, described)))
+    if exit_code:
+        click.get_current_context().exit(exit_code)
+
+
+def describe(cloud: PointCloud) -> dict[str, Any]:
+    """Return what `info` tells about a cloud.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        At least one point.
+
+    Returns
+    -------
+    dict
+        ``name``, ``n_points``, ``lowest`` and ``highest`` corner of the box, ``spacing`` (median distance to
+        the nearest other point; None where there is none), ``crs``, ``attributes`` (their types) and
+        ``wrong`` (sentences), ready for JSON.
+    """
+    import numpy as np
+
+    from tmchho import median_spacing
+
+    finite = cloud.xyz[np.isfinite(cloud.xyz).all(axis=1)]
+    distinct = np.unique(finite, axis=0)
+    spacing = median_spacing(finite) if len(distinct) > 1 else None
+    return {
+        "name": cloud.name,
+        "n_points": len(cloud),
+        "lowest": finite.min(axis=0).tolist() if len(finite) else None,
+        "highest": finite.max(axis=0).tolist() if len(finite) else None,
+        "spacing": spacing,
+        "crs": crs_name(cloud.crs),
+        "attributes": {
+            name: str(np.asarray(values).dtype) for name, values in sorted(cloud.attributes.items())
+        },
+        "wrong": _what_looks_wrong(cloud, finite, distinct, spacing),
+    }
+
+
+def _what_looks_wrong(
+    cloud: PointCloud, finite: NDArray[np.float64], distinct: NDArray[np.float64], spacing: float | None
+) -> list[str]:
+    import numpy as np
+
+    wrong = []
+    if len(finite) < len(cloud):
+        wrong.append(
+            f"{len(cloud) - len(finite):,} points have a coordinate that is not finite; they will be left out"
+        )
+    if len(distinct) < len(finite):
+        wrong.append(f"{len(finite) - len(distinct):,} points repeat another one exactly")
+    if len(finite) == 0:
+        return wrong
+    lowest, highest = distinct.min(axis=0), distinct.max(axis=0)
+    largest = np.maximum(np.abs(lowest), np.abs(highest)).astype(np.float32)
+    step = float(np.spacing(largest).max())
+    rounded = bool((distinct == distinct.astype(np.float32)).all())
+    if rounded and spacing is not None and step > _VISIBLE_STEP * spacing:
+        wrong.append(
+            f"coordinates were stored as float32, in steps of {step:.3g} at this distance from the origin; "
+            "export again with double precision or after subtracting an offset"
+        )
+    extent = highest - lowest
+    in_range = bool((np.abs(lowest[:2]) <= [180, 90]).all() and (np.abs(highest[:2]) <= [180, 90]).all())
+    needle = bool(extent[2] > _NEEDLE * extent[:2].max())
+    if is_geographic(cloud.crs) or (cloud.crs is None and in_range and needle):
+        wrong.append("coordinates look like degrees of longitude and latitude; project them to metres first")
+    if len(distinct) < 4 or bool((extent == 0).any()):
+        wrong.append("the points do not spread in three directions, so no pose can be found for them")
+    return wrong
+
+
+def _in_words(described: dict[str, Any]) -> str:
+    def numbers(values: list[float] | None) -> str:
+        return "-" if values is None else "  ".join(f"{value:.3f}" for value in values)
+
+    low, high = described["lowest"], described["highest"]
+    extent = None if low is None else [b - a for a, b in zip(low, high, strict=True)]
+    spacing = described["spacing"]
+    kinds = ", ".join(f"{name} ({kind})" for name, kind in described["attributes"].items())
+    lines = {
+        "points": f"{described['n_points']:,}",
+        "lowest": numbers(low),
+        "highest": numbers(high),
+        "extent": numbers(extent),
+        "spacing": "-" if spacing is None else f"{spacing:.4g} (median distance to the nearest point)",
+        "CRS": described["crs"] or "not in the file",
+        "attributes": kinds or "none",
+        "looks wrong": "nothing",
+    }
+    if described["wrong"]:
+        lines["looks wrong"] = ("\n" + " " * 15).join(described["wrong"])
+    return "\n".join([described["name"], *(f"  {name:<11}  {value}" for name, value in lines.items())])

@@ -1,0 +1,35 @@
+"""Options that several commands have, said once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+# Whether a file exists is checked on reading: a missing file is no wrong usage (exit code 3, not 2).
+PATH = click.Path(path_type=Path)
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+quiet_option = click.option(
+    "-q", "--quiet", is_flag=True, help="No progress and no notes, only warnings and errors."
+)
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run.")
+
+
+def output_option(**settings: Any) -> Callable[[_Command], _Command]:
+    """Return the option for the folder of the results."""
+    return click.option(
+        "-o", "--output", type=PATH, metavar="FOLDER", help="Folder for the results.", **settings
+    )
+
+
+def positive(_context: click.Context, _option: click.Parameter, value: float | None) -> float | None:
+    """Check an option whose value must be a finite number above zero."""
+    if value is not None and not (math.isfinite(value) and value > 0):
+        raise click.BadParameter(f"must be a number above 0, got {value:g}")
+    return value

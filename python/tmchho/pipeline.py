@@ -1,0 +1,214 @@
+"""The three things that are done with two clouds: register them, measure them, fuse them."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tmchho import _core
+from tmchho.arguments import checked_array, checked_choice, checked_number
+from tmchho.config import ConfigLike, Mode, config_json, options_json
+from tmchho.errors import InvalidArgumentError
+from tmchho.fused import FusedCloud
+from tmchho.inputs import CloudLike, naming, open_cloud
+from tmchho.progress import ProgressCallback, listener
+from tmchho.results import DistanceStatistics, Evaluation, Registration
+
+
+def register(
+    source: CloudLike,
+    target: CloudLike,
+    *,
+    mode: Mode | None = None,
+    seed: int | None = None,
+    config: ConfigLike | None = None,
+    progress: ProgressCallback | None = None,
+) -> Registration:
+    """Register `source` onto `target`: no targets, no initial guess, no numbers needed.
+
+    Parameters
+    ----------
+    source, target : CloudLike
+        The cloud that moves and the one that stays, in the same length unit: a path, a `PointCloud`, or
+        (n, 3) real numbers. Points with NaN or infinite coordinates are left out and counted. The arrays are
+        not modified, and must not be by other threads during the call.
+    mode : {'robust', 'paper'}, optional
+        Which search is run: many starts verified in both directions, or the paper's method, plain. Where not
+        given, what `config` says, else ``'robust'``.
+    seed : int, optional
+        Seed of all random numbers, 0 to 2⁶⁴ - 1: the same input and seed give the same result, at any number
+        of threads. Where not given, what `config` says, else 0.
+    config : Config, mapping or path of a TOML file, optional
+        All other settings; see `Config` and `default_config`.
+    progress : callable, optional
+        Gets a `ProgressEvent` for everything that happens, on the calling thread; answers True to stop.
+
+    Returns
+    -------
+    Registration
+        With the pose and a verdict. A wrong pose is no error: read the verdict.
+
+    Raises
+    ------
+    ReadError
+        If a path cannot be read.
+    InvalidCloudError
+        If a cloud has too few points, or all of them on one point, line or plane.
+    InvalidArgumentError
+        Naming the argument or configuration key.
+    NoSolutionError
+        If the search ended without any pose.
+    StoppedError
+        If `progress` answered True. Its own exceptions come out unchanged, and Ctrl-C ends the call.
+
+    Notes
+    -----
+    Ren, Zhao & Han (2023), Sections 4.1 to 4.5; the robust search and the verdict are additions of this
+    package. Other Python threads run on during the call.
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(80.0), np.arange(80.0))
+    >>> z = 4 * np.sin(0.13 * x) * np.cos(0.21 * y) + 3 * np.sin(0.002 * x * y)
+    >>> target = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    >>> source = target[:, [1, 2, 0]] + [300.0, -20.0, 7.0]  # turned and shifted
+    >>> found = register(source, target)
+    >>> found.verdict, bool(np.abs(found.apply(source) - target).max() < 1e-3)
+    ('accepted', True)
+    """
+    settings = config_json(config, mode=mode, seed=seed)
+    tell = listener(progress)
+    source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
+    began = time.perf_counter()
+    with naming(source_cloud, target_cloud):
+        found = _core.register(source_cloud.xyz, target_cloud.xyz, settings, tell)
+    return Registration._from_core(
+        found,
+        seconds=time.perf_counter() - began,
+        source_name=source_cloud.name,
+        target_name=target_cloud.name,
+    )
+
+
+def evaluate(
+    source: CloudLike,
+    target: CloudLike,
+    transformation: Registration | ArrayLike | None = None,
+    *,
+    tolerance: float | None = None,
+) -> Evaluation:
+    """Measure the distance from each point of one cloud to the nearest of the other, both ways.
+
+    Parameters
+    ----------
+    source, target : CloudLike
+        At least one finite point each; see `register`.
+    transformation : Registration or (4, 4) array_like, optional
+        Takes source to target coordinates. Where not given, the clouds are measured as they lie.
+    tolerance : float, optional
+        Also count the points whose distance does not exceed this.
+
+    Returns
+    -------
+    Evaluation
+
+    Raises
+    ------
+    ReadError, InvalidCloudError
+        If a path cannot be read, or a cloud has no finite point.
+    InvalidArgumentError
+        If the transformation is not rigid or the tolerance is negative.
+
+    Notes
+    -----
+    Ren, Zhao & Han (2023), Section 5.3, Table 7.
+
+    Examples
+    --------
+    >>> evaluate([[3.0, 4.0, 0.0]], [[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]]).target_to_source
+    array([5.        , 7.21110255])
+    """
+    matrix = _matrix(transformation)
+    if tolerance is not None and checked_number("tolerance", tolerance) < 0:
+        raise InvalidArgumentError(f"tolerance must be at least 0, got {tolerance}")
+    source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
+    with naming(source_cloud, target_cloud):
+        found = _core.evaluate(source_cloud.xyz, target_cloud.xyz, matrix, tolerance)
+    forth, forth_summary, forth_share = found["source_to_target"]
+    back, back_summary, back_share = found["target_to_source"]
+    return Evaluation(
+        source_to_target=forth,
+        target_to_source=back,
+        source_to_target_statistics=DistanceStatistics(**forth_summary),
+        target_to_source_statistics=DistanceStatistics(**back_summary),
+        share_within=None if tolerance is None else (forth_share, back_share),
+        tolerance=tolerance,
+    )
+
+
+def fuse(
+    source: CloudLike,
+    target: CloudLike,
+    transformation: Registration | ArrayLike,
+    *,
+    mode: Literal["merge", "fill_holes"] | None = None,
+    hole_radius: float | None = None,
+) -> FusedCloud:
+    """Make one cloud out of two, in which each fills the other's holes.
+
+    Parameters
+    ----------
+    source, target : CloudLike
+        At least one finite point each; see `register`.
+    transformation : Registration or (4, 4) array_like
+        Takes source to target coordinates.
+    mode : {'merge', 'fill_holes'}, optional
+        Take all points of the source (``'merge'``, where not given), or only those that fill a hole of the
+        target. The target is always kept whole.
+    hole_radius : float, optional
+        A point farther than this from the other cloud fills a hole; above 0. Where not given, three times the
+        spacing that nine points in ten of the sparser cloud keep to.
+
+    Returns
+    -------
+    FusedCloud
+
+    Raises
+    ------
+    ReadError, InvalidCloudError
+        If a path cannot be read, or a cloud has no finite point.
+    InvalidArgumentError
+        Naming the argument.
+
+    Notes
+    -----
+    Ren, Zhao & Han (2023), Section 5.3, Figure 18. The paper does not say what a hole is.
+
+    Examples
+    --------
+    >>> target = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
+    >>> source = [[1.5, 0.0, 0.0], [7.0, 0.0, 0.0]]
+    >>> fused = fuse(source, target, np.eye(4), mode="fill_holes", hole_radius=2.0)
+    >>> fused.points[:, 0], fused.origin
+    (array([0., 1., 2., 7.]), array([0, 0, 0, 1], dtype=uint8))
+    """
+    matrix = _matrix(transformation)
+    options: dict[str, Any] = {
+        "mode": None if mode is None else checked_choice("mode", mode, ("merge", "fill_holes")),
+        "hole_radius_m": None if hole_radius is None else checked_number("hole_radius", hole_radius),
+    }
+    source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
+    with naming(source_cloud, target_cloud):
+        fused = _core.fuse(source_cloud.xyz, target_cloud.xyz, matrix, options_json(**options))
+    return FusedCloud(**fused)
+
+
+def _matrix(transformation: Registration | ArrayLike | None) -> NDArray[np.float64]:
+    if transformation is None:
+        return np.eye(4)
+    if isinstance(transformation, Registration):
+        return transformation.transformation
+    return checked_array("transformation", transformation, (4, 4))

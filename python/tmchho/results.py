@@ -1,0 +1,334 @@
+"""What a registration and an evaluation leave: plain frozen data, for people and for JSON.
+
+Lengths are in the unit of the clouds, angles in radians; a pose takes source coordinates to target
+coordinates. Arrays in here are read-only.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tmchho import _core
+from tmchho.inputs import CloudLike, open_points
+
+Verdict: TypeAlias = Literal["accepted", "review", "rejected"]
+
+
+class ReadOnlyArrays:
+    """Keeps the arrays of a dataclass read-only, also in copies and after pickling."""
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()
+
+
+@dataclass(frozen=True)
+class DistanceStatistics:
+    """Distances from the points of one cloud to the nearest of the other, summed up.
+
+    Parameters
+    ----------
+    n_points : int
+        How many distances.
+    mean, best, worst, std : float
+        Average, smallest, largest and population standard deviation: Avg, Best, Worst and Std of the
+        article's Table 7.
+    rms, median, percentile_95 : float
+        Root of the mean square; half and 95 % of the distances lie below the other two.
+    """
+
+    n_points: int
+    mean: float
+    best: float
+    worst: float
+    std: float
+    rms: float
+    median: float
+    percentile_95: float
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """What one stage did.
+
+    Parameters
+    ----------
+    name : str
+        ``outliers``, ``voxel``, ``keypoints``, ``coarse``, ``icp``, ``verdict`` or ``evaluate``.
+    n_source_in, n_source_out, n_target_in, n_target_out : int
+        Points that went in and came out.
+    seconds : float
+        Wall time.
+    """
+
+    name: str
+    n_source_in: int
+    n_source_out: int
+    n_target_in: int
+    n_target_out: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate(ReadOnlyArrays):
+    """A pose that the search found.
+
+    Parameters
+    ----------
+    transformation : (4, 4) float64 array
+        Target from source.
+    score : float
+        Higher is better: in robust mode the curvature-weighted symmetric share of inliers, 0 to about 1; in
+        paper mode minus the RMS of Eq. (1).
+    """
+
+    transformation: NDArray[np.float64]
+    score: float
+
+
+@dataclass(frozen=True, eq=False)
+class Registration(ReadOnlyArrays):
+    """A pose, and everything that tells how far to trust it.
+
+    Parameters
+    ----------
+    transformation : (4, 4) float64 array
+        Takes source coordinates to target coordinates, both as given: ``q = T[:3, :3] @ p + T[:3, 3]``.
+    verdict : {'accepted', 'review', 'rejected'}
+        The data support this pose and no other; a person has to look; the data do not support it.
+    reasons : tuple of str
+        Why, the weightiest first.
+    fitness : float
+        Source voxels with a partner within `max_distance`, by all source voxels.
+    inlier_rmse : float
+        Root mean squared distance of those pairs.
+    n_inliers : int
+        Number of those pairs.
+    overlap_of_source, overlap_of_target : float
+        Share of the points of the one cloud, at full density, within `max_distance` of the other.
+    inlier_share : float
+        Points of both clouds with a partner and an agreeing normal, by twice the points of the smaller cloud.
+    ambiguity_ratio : float
+        Score of the best pose by that of its best rival; infinite without a rival, NaN in paper mode.
+    strength : float
+        How firmly the weakest direction is held: 0 (slides freely) to about 1/6.
+    weakest_direction : str
+        That direction in words.
+    candidates : tuple of Candidate
+        The best poses found, best first, before ICP.
+    n_evaluations : int
+        Poses for which the clouds were compared during the search.
+    history : (n,) float64 array
+        Best score of the search so far, step by step; in paper mode the RMS of Eq. (1).
+    converged : bool
+        Whether ICP came to rest.
+    icp_stop_reason : {'converged', 'max_iterations', 'no_partners'}
+        Why ICP ended.
+    n_icp_iterations : int
+        Iterations of ICP.
+    icp_history : (n,) float64 array
+        Mean squared distance after each of them, of points or to planes, as the method says.
+    source_pivot, target_pivot : (3,) float64 array
+        Centroids of the clouds.
+    pivot_transformation : (4, 4) float64 array
+        The same pose about the pivots: ``q = R @ (p - source_pivot) + t + target_pivot``. Small numbers, of
+        which nothing is lost as text even at national-grid coordinates.
+    source_to_target, target_to_source : DistanceStatistics
+        Distances from every point of the one cloud to the other, at full density.
+    n_non_finite : tuple of int
+        Points of source and target that were left out because a coordinate is NaN or infinite.
+    outlier_radius : tuple of float
+        Radius of the outlier removal in source and target.
+    voxel_size : float
+        Edge of the voxels.
+    max_distance : float
+        Distance within which a partner supports the pose.
+    stages : tuple of StageRecord
+        What each stage did.
+    seconds : float
+        Wall time of the call, reading files not counted.
+    mode : {'robust', 'paper'}
+        The search that was run.
+    seed : int
+        Seed of all random numbers.
+    config : dict
+        All settings, with what was derived filled in.
+    source_name, target_name : str
+        How the clouds were called, usually their paths.
+    version : str
+        Version of this package.
+    """
+
+    transformation: NDArray[np.float64]
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    fitness: float
+    inlier_rmse: float
+    n_inliers: int
+    overlap_of_source: float
+    overlap_of_target: float
+    inlier_share: float
+    ambiguity_ratio: float
+    strength: float
+    weakest_direction: str
+    candidates: tuple[Candidate, ...]
+    n_evaluations: int
+    history: NDArray[np.float64]
+    converged: bool
+    icp_stop_reason: str
+    n_icp_iterations: int
+    icp_history: NDArray[np.float64]
+    source_pivot: NDArray[np.float64]
+    target_pivot: NDArray[np.float64]
+    pivot_transformation: NDArray[np.float64]
+    source_to_target: DistanceStatistics
+    target_to_source: DistanceStatistics
+    n_non_finite: tuple[int, int]
+    outlier_radius: tuple[float, float]
+    voxel_size: float
+    max_distance: float
+    stages: tuple[StageRecord, ...]
+    seconds: float
+    mode: Literal["robust", "paper"]
+    seed: int
+    config: dict[str, Any]
+    source_name: str
+    target_name: str
+    version: str
+
+    @classmethod
+    def _from_core(
+        cls, found: dict[str, Any], *, seconds: float, source_name: str, target_name: str
+    ) -> Registration:
+        config = json.loads(found.pop("config_json"))
+        found["reasons"] = tuple(found["reasons"])
+        found["candidates"] = tuple(Candidate(*candidate) for candidate in found["candidates"])
+        found["stages"] = tuple(StageRecord(**record) for record in found["stages"])
+        for direction in ("source_to_target", "target_to_source"):
+            found[direction] = DistanceStatistics(**found[direction])
+        return cls(
+            **found,
+            converged=found["icp_stop_reason"] == "converged",
+            seconds=seconds,
+            mode=config["mode"],
+            seed=config["seed"],
+            config=config,
+            source_name=source_name,
+            target_name=target_name,
+            version=_core.__version__,
+        )
+
+    def apply(self, points: CloudLike) -> NDArray[np.float64]:
+        """Move points from source coordinates to target coordinates.
+
+        Parameters
+        ----------
+        points : CloudLike
+            (n, 3) in the coordinates in which the source was given.
+
+        Returns
+        -------
+        (n, 3) float64 array
+            Turned about the pivots, so that nothing is lost at national-grid size. Rows with NaN stay NaN.
+
+        Raises
+        ------
+        ReadError, InvalidCloudError
+            If `points` is a file that cannot be read, or not (n, 3) real numbers.
+        """
+        matrix = self.pivot_transformation
+        local = open_points(points, "points") - self.source_pivot
+        moved = local @ matrix[:3, :3].T + matrix[:3, 3]
+        return np.asarray(moved + self.target_pivot)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as what JSON knows.
+
+        Arrays become lists, numbers that are not finite None. The same input and seed give the same values,
+        except under keys called ``seconds``; the number of threads, which changes nothing, is left out.
+        """
+        values: dict[str, Any] = plain(self)
+        values["config"].pop("n_threads")
+        return values
+
+    def summary(self) -> str:
+        """Return the result in a few lines for people; angles are in degrees."""
+        first, last = self.stages[0], self.stages[-1]
+        turn_deg = math.degrees(_rotation_angle_rad(self.transformation))
+        shift = ", ".join(f"{value:.4f}" for value in self.transformation[:3, 3])
+        distances = self.source_to_target
+        seconds = f"{self.seconds:.1f} s, seed {self.seed}, {self.mode} mode"
+        return "\n".join(
+            [
+                f"{self.verdict}: {'; '.join(self.reasons)}",
+                f"source     {self.source_name} ({first.n_source_in} points)",
+                f"target     {self.target_name} ({first.n_target_in} points)",
+                f"pose       turned by {turn_deg:.4f}°, shifted by ({shift})",
+                f"overlap    {self.overlap_of_source:.1%} of the source, {self.overlap_of_target:.1%} of the"
+                f" target within {self.max_distance:.4g}",
+                f"residual   {self.inlier_rmse:.4g} RMS of {self.n_inliers} of {last.n_source_out} voxels",
+                f"distances  mean {distances.mean:.4g}, median {distances.median:.4g},"
+                f" 95 % below {distances.percentile_95:.4g} (source to target)",
+                f"took       {seconds}",
+            ]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation(ReadOnlyArrays):
+    """How far two clouds lie apart.
+
+    Parameters
+    ----------
+    source_to_target : (n,) float64 array
+        Distance from each source point to the nearest target point, in the order of the rows given; NaN for
+        rows with a coordinate that is not finite.
+    target_to_source : (m,) float64 array
+        The other way round.
+    source_to_target_statistics, target_to_source_statistics : DistanceStatistics
+        Both summed up, over the finite points.
+    share_within : tuple of float, or None
+        Shares of the source and of the target points whose distance does not exceed `tolerance`.
+    tolerance : float or None
+        As asked for.
+    """
+
+    source_to_target: NDArray[np.float64]
+    target_to_source: NDArray[np.float64]
+    source_to_target_statistics: DistanceStatistics
+    target_to_source_statistics: DistanceStatistics
+    share_within: tuple[float, float] | None
+    tolerance: float | None
+
+
+def plain(value: Any) -> Any:
+    """Return `value` as what JSON knows: dataclasses and arrays become dicts and lists, NaN and ±∞ None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, (tuple, list)):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _rotation_angle_rad(matrix: NDArray[np.float64]) -> float:
+    # Accurate near 0 and near π, where the arc cosine of the trace is not.
+    axis = (matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1])
+    return math.atan2(math.hypot(*axis), float(np.trace(matrix[:3, :3])) - 1.0)
