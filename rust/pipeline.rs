@@ -9,7 +9,7 @@ use crate::coarse::{self, CoarseResult};
 use crate::config::{Config, Mode};
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
-use crate::fitness::{Witnesses, agreement, support};
+use crate::fitness::{Tolerance, Witnesses, agreement, support};
 use crate::fuse::{FuseOptions, FusedCloud, fuse};
 use crate::icp::{IcpResult, IcpStop, icp};
 use crate::keypoints::{self, RADIUS_IN_VOXELS};
@@ -229,8 +229,8 @@ fn route(
     log.keep();
 
     log.begin(Stage::Verdict)?;
-    let agreed =
-        |pose: &Rigid| agreement(&source_witnesses, &target_witnesses, pose, max_distance_m);
+    let tolerance = Tolerance::within(max_distance_m);
+    let agreed = |pose: &Rigid| agreement(&source_witnesses, &target_witnesses, pose, tolerance);
     let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source));
     // Robust mode keeps ICP's pose only where it is no worse; the paper always takes it.
     let (pose, agreed) = if config.mode == Mode::Paper || after.score >= before.score {
