@@ -1,6 +1,6 @@
 //! The robust search: many starts, quick descents, few verifications.
 //!
-//! Every length is a share of the diagonal of the smaller cloud, which is the one that moves: it is
+//! Every length is a share of the extent of the smaller cloud, which is the one that moves: it is
 //! the cloud that has to find its place. Starts are rotations × places; each runs down into its
 //! basin on a nearest-point grid; the best distinct basins are refined and ranked by how far both
 //! clouds agree. Where the best pose does not stand out, the round is repeated with more starts.
@@ -133,7 +133,7 @@ pub(crate) const STANDING_OUT_RATIO: f64 = 1.75;
 pub(crate) const STANDING_OUT_SHARE: f64 = 0.30;
 
 /// Finds the pose of `source` in `target`. Both should be voxel-uniform, with the same voxel;
-/// `unit_m` is the length that all lengths of the search are shares of: the diagonal of the smaller
+/// `unit_m` is the length that all lengths of the search are shares of: the extent of the smaller
 /// cloud.
 ///
 /// # Errors
