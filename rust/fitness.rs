@@ -124,15 +124,41 @@ pub struct Agreement {
     pub score: f64,
 }
 
-/// Counts partners within `max_distance_m` at `pose` (fixed from moving).
+/// Who counts as a partner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tolerance {
+    /// Greatest distance between the points.
+    pub distance_m: f64,
+    /// Greatest distance of the point from the partner's plane. Points of two samplings never
+    /// coincide, but they lie in each other's planes as closely as the sensors are good.
+    pub off_plane_m: f64,
+}
+
+impl Tolerance {
+    /// Any point within the distance, wherever its plane lies.
+    pub fn within(distance_m: f64) -> Self {
+        Self {
+            distance_m,
+            off_plane_m: distance_m,
+        }
+    }
+}
+
+/// Counts partners at `pose` (fixed from moving).
 pub fn agreement(
     moving: &Witnesses<'_>,
     fixed: &Witnesses<'_>,
     pose: &Rigid,
-    max_distance_m: f64,
+    tolerance: Tolerance,
 ) -> Agreement {
-    let forth = count(moving, fixed.cloud, pose, max_distance_m);
-    let back = count(fixed, moving.cloud, &pose.inverse(), max_distance_m);
+    let mut forth = Count::default();
+    each_partner(moving, fixed.cloud, pose, tolerance, |i, _| {
+        forth.add(moving.weights[i])
+    });
+    let mut back = Count::default();
+    each_partner(fixed, moving.cloud, &pose.inverse(), tolerance, |i, _| {
+        back.add(fixed.weights[i])
+    });
     let smaller = if moving.len() <= fixed.len() {
         moving
     } else {
@@ -148,38 +174,72 @@ pub fn agreement(
     }
 }
 
+/// Distance from the partners' planes that the clouds keep at `pose`: three times its robust
+/// standard deviation over the witnesses of `moving` that find a partner; 0 where none does.
+pub fn off_plane_noise_m(
+    moving: &Witnesses<'_>,
+    fixed: &Witnesses<'_>,
+    pose: &Rigid,
+    max_distance_m: f64,
+) -> f64 {
+    /// From the median of absolute deviations to the standard deviation of a normal law.
+    const MEDIAN_TO_DEVIATION: f64 = 1.4826;
+    let mut found = Vec::new();
+    let tolerance = Tolerance::within(max_distance_m);
+    each_partner(moving, fixed.cloud, pose, tolerance, |_, off_plane| {
+        found.push(off_plane)
+    });
+    if found.is_empty() {
+        return 0.0;
+    }
+    let middle = found.len() / 2;
+    3.0 * MEDIAN_TO_DEVIATION * *found.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
 #[derive(Default)]
 struct Count {
     n_inliers: f64,
     inlier_weight: f64,
 }
 
-fn count(from: &Witnesses<'_>, to: &SurfaceCloud, to_from: &Rigid, max_distance_m: f64) -> Count {
+impl Count {
+    fn add(&mut self, weight: f64) {
+        self.n_inliers += 1.0;
+        self.inlier_weight += weight;
+    }
+}
+
+/// Calls `visit` with every witness of `from` that has a partner with an agreeing normal in `to`,
+/// and how far it lies from the partner's plane.
+fn each_partner(
+    from: &Witnesses<'_>,
+    to: &SurfaceCloud,
+    to_from: &Rigid,
+    tolerance: Tolerance,
+    mut visit: impl FnMut(usize, f64),
+) {
     /// Normals agree within 37°, whichever way they point.
     const MIN_COSINE: f64 = 0.8;
-    let max_sq = max_distance_m * max_distance_m;
-    let mut count = Count::default();
-    for (i, weight) in from.weights.iter().enumerate() {
+    let max_sq = tolerance.distance_m * tolerance.distance_m;
+    for i in 0..from.len() {
         let moved = to_from.apply(&from.cloud.points()[i]);
-        if !to.is_near_box(&moved, max_distance_m) {
+        if !to.is_near_box(&moved, tolerance.distance_m) {
             continue;
         }
         let Some(partner) = to.index.nearest_within(&moved, max_sq) else {
             continue;
         };
-        let normal = to_from.rotate(&from.cloud.surfaces[i].normal);
-        let other = &to.surfaces[partner.index as usize].normal;
-        if (0..3)
-            .map(|axis| normal[axis] * other[axis])
-            .sum::<f64>()
-            .abs()
-            > MIN_COSINE
-        {
-            count.n_inliers += 1.0;
-            count.inlier_weight += weight;
+        let own = to_from.rotate(&from.cloud.surfaces[i].normal);
+        let normal = &to.surfaces[partner.index as usize].normal;
+        let place = &to.points()[partner.index as usize];
+        let cosine: f64 = (0..3).map(|axis| own[axis] * normal[axis]).sum();
+        let off_plane: f64 = (0..3)
+            .map(|axis| (moved[axis] - place[axis]) * normal[axis])
+            .sum();
+        if cosine.abs() > MIN_COSINE && off_plane.abs() <= tolerance.off_plane_m {
+            visit(i, off_plane.abs());
         }
     }
-    count
 }
 
 /// What of the moving cloud lies on the fixed one at a pose, and how firmly that holds the pose.
@@ -270,7 +330,7 @@ mod tests {
     ) -> Agreement {
         let [a, b] =
             Witnesses::of_both([moving, fixed], 400, 0.1, 0.03, &Progress::silent()).unwrap();
-        agreement(&a, &b, pose, distance)
+        agreement(&a, &b, pose, Tolerance::within(distance))
     }
 
     #[test]
@@ -311,6 +371,42 @@ mod tests {
             "{forth:?}"
         );
         assert!((forth.score - back.score).abs() < 1e-12);
+    }
+
+    #[test]
+    fn noise_is_measured_off_the_planes_and_told_from_a_shift() {
+        let floor = |lift: f64, seed: u64| -> Vec<Point> {
+            let mut stream = Stream::new(seed, "floor", 0);
+            (0..4000)
+                .map(|_| [stream.uniform(), stream.uniform(), stream.normal()])
+                .map(|[x, y, e]| [x, y, lift + 0.002 * e + if x > 0.5 { 0.3 } else { 0.0 }])
+                .collect()
+        };
+        let (low, high) = (surfaces(&floor(0.0, 1)), surfaces(&floor(0.0, 2)));
+        let pose = Rigid::identity().between_local_coordinates(high.origin, low.origin);
+        let [a, b] =
+            Witnesses::of_both([&high, &low], 4000, 0.05, 0.016, &Progress::silent()).unwrap();
+        let noise_m = off_plane_noise_m(&a, &b, &pose, 0.05);
+        // Two samplings of 2 mm each, and the noise of the normals over the step to the partner.
+        assert!((0.006..0.015).contains(&noise_m), "{noise_m}");
+        let tolerance = Tolerance {
+            distance_m: 0.05,
+            off_plane_m: noise_m,
+        };
+        let lifted = Rigid {
+            translation: pose.translation.add_scalar(0.02),
+            ..pose
+        };
+        let (here, there) = (
+            agreement(&a, &b, &pose, tolerance),
+            agreement(&a, &b, &lifted, tolerance),
+        );
+        assert!(
+            here.inlier_share > 0.9 && there.inlier_share < 0.1,
+            "{here:?} {there:?}"
+        );
+        let lax = Tolerance::within(0.05);
+        assert!(agreement(&a, &b, &lifted, lax).inlier_share > 0.9);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use crate::coarse::{self, CoarseResult};
 use crate::config::{Config, Mode};
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
-use crate::fitness::{Witnesses, agreement, support};
+use crate::fitness::{Tolerance, Witnesses, agreement, support};
 use crate::fuse::{FuseOptions, FusedCloud, fuse};
 use crate::icp::{IcpResult, IcpStop, icp};
 use crate::keypoints::{self, RADIUS_IN_VOXELS};
@@ -22,8 +22,8 @@ use crate::surface_cloud::SurfaceCloud;
 use crate::verdict::{Evidence, Strength, Verdict, judge};
 use crate::voxel::downsample;
 
-/// Voxels along the diagonal of the smaller cloud, where no edge is asked for.
-pub const VOXELS_PER_DIAGONAL: f64 = 250.0;
+/// Voxels along the extent of the smaller cloud, where no edge is asked for.
+pub const VOXELS_PER_EXTENT: f64 = 250.0;
 /// A partner within so many voxels supports the pose, where no distance is asked for.
 pub const SUPPORT_IN_VOXELS: f64 = 2.5;
 
@@ -157,11 +157,11 @@ fn route(
     log.end(source_cleaned.cloud.len(), target_cleaned.cloud.len());
 
     log.begin(Stage::Voxel)?;
-    let unit_m = diagonal_of_smaller(&source_cleaned.cloud, &target_cleaned.cloud)?;
+    let unit_m = extent_of_smaller(&source_cleaned.cloud, &target_cleaned.cloud)?;
     let voxel_size_m = config
         .voxel
         .voxel_size_m
-        .unwrap_or(unit_m / VOXELS_PER_DIAGONAL);
+        .unwrap_or(unit_m / VOXELS_PER_EXTENT);
     let source_voxels = downsample(&source_cleaned.cloud, voxel_size_m, progress)?.cloud;
     let target_voxels = downsample(&target_cleaned.cloud, voxel_size_m, progress)?.cloud;
     let source_surface = SurfaceCloud::new(&source_voxels, config.seed, progress)?;
@@ -229,8 +229,8 @@ fn route(
     log.keep();
 
     log.begin(Stage::Verdict)?;
-    let agreed =
-        |pose: &Rigid| agreement(&source_witnesses, &target_witnesses, pose, max_distance_m);
+    let tolerance = Tolerance::within(max_distance_m);
+    let agreed = |pose: &Rigid| agreement(&source_witnesses, &target_witnesses, pose, tolerance);
     let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source));
     // Robust mode keeps ICP's pose only where it is no worse; the paper always takes it.
     let (pose, agreed) = if config.mode == Mode::Paper || after.score >= before.score {
@@ -404,8 +404,8 @@ fn statistics(distances_m: &[f64]) -> Result<DistanceStatistics> {
     })
 }
 
-/// The diagonal of the smaller cloud, which every derived length is a share of.
-fn diagonal_of_smaller(source: &Cloud, target: &Cloud) -> Result<f64> {
+/// The extent of the smaller cloud, which every derived length is a share of.
+fn extent_of_smaller(source: &Cloud, target: &Cloud) -> Result<f64> {
     for (what, cloud) in [("source cloud", source), ("target cloud", target)] {
         if cloud.len() < MIN_POINTS {
             return Err(Error::TooFewPoints {
@@ -415,7 +415,7 @@ fn diagonal_of_smaller(source: &Cloud, target: &Cloud) -> Result<f64> {
             });
         }
     }
-    Ok(source.robust_diagonal_m().min(target.robust_diagonal_m()))
+    Ok(source.extent_m().min(target.extent_m()))
 }
 
 /// Tells the caller where the route is, and keeps what each stage did.

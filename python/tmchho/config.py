@@ -13,12 +13,12 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
 from tmchho import _core
-from tmchho.arguments import checked_seed
+from tmchho.arguments import checked_choice, checked_seed
 from tmchho.errors import InvalidArgumentError, ReadError
 
 if sys.version_info >= (3, 11):
@@ -323,7 +323,7 @@ def config_json(config: ConfigLike | None, *, mode: Mode | None = None, seed: in
             f"config must be a Config, a mapping or the path of a TOML file, got {type(config).__name__}"
         )
     if mode is not None:
-        settings["mode"] = mode
+        settings["mode"] = checked_choice("mode", mode, get_args(Mode))
     if seed is not None:
         settings["seed"] = checked_seed(seed)
     return _core.complete_config(_to_json(settings))

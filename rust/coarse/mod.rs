@@ -44,7 +44,7 @@ pub struct CoarseResult {
     pub history: Vec<f64>,
     /// Rounds of starts that were needed (robust) or iterations made (paper).
     pub n_rounds: usize,
-    /// The length that distances of the search are shares of: the diagonal of the smaller cloud.
+    /// The length that distances of the search are shares of: the extent of the smaller cloud.
     pub unit_m: f64,
 }
 

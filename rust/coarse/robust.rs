@@ -1,6 +1,6 @@
 //! The robust search: many starts, quick descents, few verifications.
 //!
-//! Every length is a share of the diagonal of the smaller cloud, which is the one that moves: it is
+//! Every length is a share of the extent of the smaller cloud, which is the one that moves: it is
 //! the cloud that has to find its place. Starts are rotations × places; each runs down into its
 //! basin on a nearest-point grid; the best distinct basins are refined and ranked by how far both
 //! clouds agree. Where the best pose does not stand out, the round is repeated with more starts.
@@ -14,7 +14,7 @@ use super::{Candidate, CoarseResult, differ};
 use crate::cloud::Point;
 use crate::distance_field::NearestGrid;
 use crate::error::{Error, Result, require_at_least, require_positive};
-use crate::fitness::{Agreement, Witnesses, agreement};
+use crate::fitness::{Agreement, Tolerance, Witnesses, agreement, off_plane_noise_m};
 use crate::parallel;
 use crate::progress::{Event, Progress, Stage};
 use crate::random::Stream;
@@ -66,7 +66,7 @@ const MAX_CELLS: usize = 2_000_000;
 const N_FIRST: usize = 64;
 const N_SECOND: usize = 256;
 const N_REFINED: usize = 1500;
-const N_FINISHED: usize = 3000;
+const N_FINISHED: usize = 1500;
 /// Witnesses of the cloud with fewer points, and how far, as a share of the unit, each looks round.
 pub(crate) const N_WITNESSES: usize = 4000;
 pub(crate) const WITNESS_RADIUS: f64 = 0.035;
@@ -109,6 +109,11 @@ const SECOND_TRUNCATION: f64 = 0.02;
 /// A partner farther away than this does not verify a pose.
 const VERIFY_DISTANCE: f64 = 0.01;
 
+/// Clouds that match exactly are still not compared more closely than this.
+const LEAST_OFF_PLANE: f64 = 0.0005;
+/// Rivals that are compared with the best pose; the next ones scored less in the first count.
+const N_RIVALS: usize = 8;
+
 /// Poses closer than this to a better one are the same basin.
 const SAME_BASIN_RAD: f64 = 8.0 * std::f64::consts::PI / 180.0;
 const SAME_BASIN: f64 = 0.03;
@@ -128,7 +133,7 @@ pub(crate) const STANDING_OUT_RATIO: f64 = 1.75;
 pub(crate) const STANDING_OUT_SHARE: f64 = 0.30;
 
 /// Finds the pose of `source` in `target`. Both should be voxel-uniform, with the same voxel;
-/// `unit_m` is the length that all lengths of the search are shares of: the diagonal of the smaller
+/// `unit_m` is the length that all lengths of the search are shares of: the extent of the smaller
 /// cloud.
 ///
 /// # Errors
@@ -244,9 +249,13 @@ impl<'a> Search<'a> {
             REACH * unit_m,
         );
         let n_starts = rotations.len() * places.len();
-        let few = self.moving.sample(N_FIRST);
+        let points = self.moving.points();
+        let n_first = N_FIRST.min(points.len());
+        let n_samples = points.len() / n_first;
         let first = parallel::map_cheap(n_starts, progress, |i| {
             let mut stream = Stream::new(seed, "jitter", (round_index << 32) + i as u64);
+            // Every start looks at other points, so that no unlucky sample spoils them all.
+            let few = &points[i % n_samples * n_first..][..n_first];
             let place = places[i / rotations.len()];
             let start = Rigid {
                 rotation: rotations[i % rotations.len()],
@@ -391,8 +400,7 @@ impl<'a> Search<'a> {
     }
 
     fn verified(&self, pose: Rigid, is_final: bool) -> Verified {
-        let distance = VERIFY_DISTANCE * self.unit_m;
-        let agreement = agreement(self.witnesses[0], self.witnesses[1], &pose, distance);
+        let agreement = self.agreement(&pose, Tolerance::within(VERIFY_DISTANCE * self.unit_m));
         Verified {
             pose,
             agreement,
@@ -427,21 +435,42 @@ impl<'a> Search<'a> {
         kept.into_iter()
     }
 
+    fn agreement(&self, pose: &Rigid, tolerance: Tolerance) -> Agreement {
+        agreement(self.witnesses[0], self.witnesses[1], pose, tolerance)
+    }
+
+    /// Score of the best pose by that of its best rival, both at the accuracy that the clouds show
+    /// at the best pose: at a wrong pose they lie off each other's planes and leave room for rivals.
     fn ambiguity_ratio(&self) -> f64 {
-        let mut distinct = self.distinct_verified();
-        match (distinct.next(), distinct.next()) {
-            (Some(best), Some(rival)) if rival.agreement.score > 0.0 => {
-                best.agreement.score / rival.agreement.score
-            }
-            _ => f64::INFINITY,
+        let Some(best) = self.best() else {
+            return f64::NAN;
+        };
+        let distance_m = VERIFY_DISTANCE * self.unit_m;
+        let [moving, fixed] = self.witnesses;
+        let noise_m = off_plane_noise_m(moving, fixed, &best.pose, distance_m);
+        let off_plane_m = noise_m.clamp(LEAST_OFF_PLANE * self.unit_m, distance_m);
+        let tolerance = Tolerance {
+            distance_m,
+            off_plane_m,
+        };
+        let poses: Vec<Rigid> = self
+            .distinct_verified()
+            .take(N_RIVALS + 1)
+            .map(|v| v.pose)
+            .collect();
+        let scores = parallel::map(poses.len(), |i| self.agreement(&poses[i], tolerance).score);
+        let rival = scores[1..].iter().copied().fold(0.0, f64::max);
+        if rival > 0.0 {
+            scores[0] / rival
+        } else {
+            f64::INFINITY
         }
     }
 
     fn stands_out(&self) -> bool {
-        self.ambiguity_ratio() > STANDING_OUT_RATIO
-            && self
-                .best()
-                .is_some_and(|v| v.agreement.inlier_share > STANDING_OUT_SHARE)
+        self.best()
+            .is_some_and(|v| v.agreement.inlier_share > STANDING_OUT_SHARE)
+            && self.ambiguity_ratio() > STANDING_OUT_RATIO
     }
 
     fn finish(self, source_moves: bool) -> Result<CoarseResult> {
@@ -470,8 +499,8 @@ impl<'a> Search<'a> {
             });
         }
         Ok(CoarseResult {
-            candidates,
             ambiguity_ratio: self.ambiguity_ratio(),
+            candidates,
             n_evaluations: self.n_evaluations,
             history: self.history,
             n_rounds: self.n_rounds,

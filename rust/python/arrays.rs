@@ -3,7 +3,10 @@
 //! The package hands over (n, 3) float64 C-contiguous arrays and nothing else, so that a wrong shape
 //! can be explained where the names of files and arguments are known.
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{
+    PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
+};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 
 use crate::cloud::Point;
@@ -17,12 +20,12 @@ pub(super) type ReadVector<'py> = PyReadonlyArray1<'py, f64>;
 
 /// The points of an (n, 3) array, in place.
 pub(super) fn points<'a>(array: &'a ReadArray<'_>) -> PyResult<&'a [Point]> {
-    Ok(array.as_slice()?.as_chunks().0)
+    rows(array)
 }
 
 /// The pose of a (4, 4) array.
 pub(super) fn pose(array: &ReadArray<'_>) -> PyResult<Rigid> {
-    let rows: &[[f64; 4]] = array.as_slice()?.as_chunks().0;
+    let rows: &[[f64; 4]] = rows(array)?;
     let matrix = rows.try_into().map_err(|_| {
         Error::argument(
             "the 4×4 transformation",
@@ -30,6 +33,15 @@ pub(super) fn pose(array: &ReadArray<'_>) -> PyResult<Rigid> {
         )
     })?;
     Ok(Rigid::from_matrix4(matrix)?)
+}
+
+fn rows<'a, const N: usize>(array: &'a ReadArray<'_>) -> PyResult<&'a [[f64; N]]> {
+    // A slice is given of columns one after another, too.
+    if array.shape()[1] != N || !array.is_c_contiguous() {
+        let problem = format!("the core takes C-contiguous arrays of shape (n, {N})");
+        return Err(PyTypeError::new_err(problem));
+    }
+    Ok(array.as_slice()?.as_chunks().0)
 }
 
 /// An (n, 3) array.

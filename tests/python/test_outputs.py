@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
 from tmchho import outputs
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError, WriteError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tmchho.cli.display import Display, display
-from tmchho.cli.failures import EXIT_CODES, NOT_ACCEPTED, debug_option
+from tmchho.cli.failures import NOT_ACCEPTED, debug_option
 from tmchho.cli.options import json_option, output_option, overwrite_option, quiet_option
 from tmchho.cli.register import replay_command
 
@@ -24,7 +24,7 @@ UAV, TLS = "uav.laz", "tls.laz"
 _SCANNER_SHARE = 320 / 420
 
 
-@click.command(short_help="Simulate, register and check a dam site.", epilog=EXIT_CODES)
+@click.command(short_help="Simulate, register and check a dam site.")
 @output_option(default=Path("out/demo"), show_default=True)
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of site, pose and search."
@@ -45,6 +45,9 @@ def demo(output: Path, seed: int, points: int, as_json: bool, quiet: bool, overw
 
     The drone's cloud is turned and shifted at random. uav.laz and tls.laz are written into the folder, and
     beside them what `tmchho register uav.laz tls.laz` writes.
+
+    Here the truth is known and so decides instead of the verdict: the exit code is 0 where the source points
+    are within a voxel edge (root mean square) of their true places, and 4 where they are not.
     """
     from tmchho import Config
     from tmchho.cli.workflow import Job, run
@@ -62,7 +65,7 @@ def demo(output: Path, seed: int, points: int, as_json: bool, quiet: bool, overw
         click.echo(json_text(outcome.document), nl=False)
     else:
         click.echo(_table(outcome, seconds))
-    if not outcome.is_accepted:
+    if outcome.document["truth"]["rms_displacement_in_voxels"] > 1:
         click.get_current_context().exit(NOT_ACCEPTED)
 
 
@@ -113,7 +116,7 @@ def _simulate(folder: Path, seed: int, n_points: int, overwrite: bool, shown: Di
         pair = make_pair(
             n_photogrammetry_points=n_points, n_scanner_points=round(_SCANNER_SHARE * n_points), seed=seed
         )
-    with shown.step("write", "writing the two surveys"):
+    with shown.step("simulate", "writing the two surveys"):
         files = {UAV: lambda path: write(pair.source, path), TLS: lambda path: write(pair.target, path)}
         write_together(folder, files, overwrite=overwrite)
     return pair.target_from_source

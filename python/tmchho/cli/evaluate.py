@@ -94,7 +94,7 @@ def _table(rows: dict[str, dict[str, Any]], tolerance: float | None) -> str:
     lines = [headings]
     for direction, row in rows.items():
         cells = [direction.replace("_", " "), f"{row['n_points']:,}"]
-        cells += [f"{row[name]:.4f}" for name in _COLUMNS.values()]
+        cells += [f"{row[name]:.5g}" for name in _COLUMNS.values()]
         cells += [] if tolerance is None else [f"{100 * row['share_within']:.1f} %"]
         lines.append(cells)
     widths = [max(len(cells[column]) for cells in lines) for column in range(len(headings))]

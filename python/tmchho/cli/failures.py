@@ -38,8 +38,9 @@ class Commands(click.Group):
 
     def invoke(self, context: click.Context) -> Any:
         """Run the command that was asked for."""
+        interrupts = _Interrupts()
         try:
-            with _termination_as_interrupt():
+            with interrupts.watched():
                 return super().invoke(context)
         except (click.exceptions.Exit, click.Abort, click.ClickException, SystemExit, GeneratorExit):
             raise  # click's own ways out
@@ -48,7 +49,7 @@ class Commands(click.Group):
                 raise  # nobody reads our output any more: click ends quietly
             if context.meta.get(_DEBUG):
                 click.echo(traceback.format_exc(), err=True, nl=False)
-            message, code = _explained(error)
+            message, code = _explained(KeyboardInterrupt() if interrupts.seen else error)
             click.echo(f"tmchho: {message}", err=True)
             context.exit(code)
 
@@ -88,14 +89,30 @@ def wants_debug() -> bool:
     return context is not None and bool(context.meta.get(_DEBUG))
 
 
-@contextmanager
-def _termination_as_interrupt() -> Iterator[None]:
-    """Let a polite request to end (SIGTERM) clean up as Ctrl-C does."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+class _Interrupts:
+    """Raises `KeyboardInterrupt` on Ctrl-C and on a polite request to end (SIGTERM), and remembers it.
+
+    Remembers, because a library may turn what is raised within its own callbacks into an error of its own.
+    """
+
+    def __init__(self) -> None:
+        self.seen = False
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Watch while the block runs; only the main thread can."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        # Whoever ignores a signal (nohup) wants it ignored here, too.
+        numbers = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
+        before = {number: signal.signal(number, self._handle) for number in numbers}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler or signal.SIG_DFL)
+
+    def _handle(self, _number: int, _frame: object) -> None:
+        self.seen = True
+        raise KeyboardInterrupt

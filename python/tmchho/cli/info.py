@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 _VISIBLE_STEP = 0.02
 # Degrees look like a needle: metres upwards, thousandths sideways.
 _NEEDLE = 1000.0
+_WIDTH = 96
 
 
 @click.command(short_help="Tell what is in files and what looks wrong.")
@@ -42,8 +44,7 @@ def info(files: tuple[Path, ...], as_json: bool, quiet: bool) -> None:
             try:
                 with shown.step("read", f"reading {path}"):
                     cloud = read(path)
-                with shown.step("look", f"looking at {path}"):
-                    described.append(describe(cloud))
+                described.append(describe(cloud))
             except TmchhoError as error:  # the others are still worth a look
                 shown.fail(str(error))
                 exit_code = exit_code or error.exit_code
@@ -67,8 +68,8 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
     -------
     dict
         ``name``, ``n_points``, ``lowest`` and ``highest`` corner of the box, ``spacing`` (median distance to
-        the nearest other point; None where there is none), ``crs``, ``attributes`` (their types) and
-        ``wrong`` (sentences), ready for JSON.
+        the nearest other point; None where there is none), ``crs``, ``attributes`` (type, lowest and
+        highest value of each) and ``wrong`` (sentences), ready for JSON.
     """
     import numpy as np
 
@@ -84,9 +85,7 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
         "highest": finite.max(axis=0).tolist() if len(finite) else None,
         "spacing": spacing,
         "crs": crs_name(cloud.crs),
-        "attributes": {
-            name: str(np.asarray(values).dtype) for name, values in sorted(cloud.attributes.items())
-        },
+        "attributes": {name: _range(values) for name, values in sorted(cloud.attributes.items())},
         "wrong": _what_looks_wrong(cloud, finite, distinct, spacing),
     }
 
@@ -98,11 +97,9 @@ def _what_looks_wrong(
 
     wrong = []
     if len(finite) < len(cloud):
-        wrong.append(
-            f"{len(cloud) - len(finite):,} points have a coordinate that is not finite; they will be left out"
-        )
+        wrong.append(f"points that are not finite: {len(cloud) - len(finite):,} (they will be left out)")
     if len(distinct) < len(finite):
-        wrong.append(f"{len(finite) - len(distinct):,} points repeat another one exactly")
+        wrong.append(f"repeated points: {len(finite) - len(distinct):,} (exactly where another one is)")
     if len(finite) == 0:
         return wrong
     lowest, highest = distinct.min(axis=0), distinct.max(axis=0)
@@ -124,14 +121,23 @@ def _what_looks_wrong(
     return wrong
 
 
+def _range(values: NDArray[Any]) -> dict[str, Any]:
+    import numpy as np
+
+    finite = np.asarray(values)[np.isfinite(values)]
+    limits = (finite.min().item(), finite.max().item()) if finite.size else (None, None)
+    return {"type": str(finite.dtype), "lowest": limits[0], "highest": limits[1]}
+
+
 def _in_words(described: dict[str, Any]) -> str:
     def numbers(values: list[float] | None) -> str:
         return "-" if values is None else "  ".join(f"{value:.3f}" for value in values)
 
-    low, high = described["lowest"], described["highest"]
+    low, high, spacing = described["lowest"], described["highest"], described["spacing"]
     extent = None if low is None else [b - a for a, b in zip(low, high, strict=True)]
-    spacing = described["spacing"]
-    kinds = ", ".join(f"{name} ({kind})" for name, kind in described["attributes"].items())
+    ranges = described["attributes"]
+    unused = [name for name, values in ranges.items() if values["lowest"] == values["highest"] == 0]
+    used = [f"{name} {_limits(values)}" for name, values in ranges.items() if name not in unused]
     lines = {
         "points": f"{described['n_points']:,}",
         "lowest": numbers(low),
@@ -139,9 +145,22 @@ def _in_words(described: dict[str, Any]) -> str:
         "extent": numbers(extent),
         "spacing": "-" if spacing is None else f"{spacing:.4g} (median distance to the nearest point)",
         "CRS": described["crs"] or "not in the file",
-        "attributes": kinds or "none",
-        "looks wrong": "nothing",
+        "attributes": ", ".join(used) or "none",
+        "all zero": ", ".join(unused),
+        "looks wrong": "\n".join(described["wrong"]) or "nothing",
     }
-    if described["wrong"]:
-        lines["looks wrong"] = ("\n" + " " * 15).join(described["wrong"])
-    return "\n".join([described["name"], *(f"  {name:<11}  {value}" for name, value in lines.items())])
+    texts = [_indented(name, text) for name, text in lines.items() if text]
+    return "\n".join([described["name"], *texts])
+
+
+def _limits(values: dict[str, Any]) -> str:
+    low, high = values["lowest"], values["highest"]
+    if low is None:
+        return "never finite"
+    return f"{low:.10g}" if low == high else f"{low:.10g} to {high:.10g}"
+
+
+def _indented(name: str, text: str) -> str:
+    wrapped = [part for line in text.splitlines() for part in textwrap.wrap(line, _WIDTH)]
+    heads = [name] + [""] * (len(wrapped) - 1)
+    return "\n".join(f"  {head:<11}  {part}" for head, part in zip(heads, wrapped, strict=True))

@@ -121,7 +121,7 @@ def _compare_crs(source: PointCloud, target: PointCloud, shown: Display) -> None
     for cloud in (source, target):
         if is_geographic(cloud.crs):
             raise InvalidCloudError(
-                f"{cloud.name}: coordinates are degrees ({crs_name(cloud.crs)}), in which no rigid pose "
+                f"{cloud.name}: coordinates are degrees of {crs_name(cloud.crs)}, in which no rigid pose "
                 "exists; project the cloud to metres first"
             )
     if source.crs is not None and target.crs is not None and source.crs != target.crs:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -198,3 +199,20 @@ def test_memory_and_bugs_have_their_exit_codes(
     assert result.exit_code == 130
     assert "interrupted" in result.stderr
     assert names_in(tmp_path) == []
+
+
+def test_an_interrupt_that_a_library_swallowed_is_still_one(
+    files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def compress(*_arguments: Any, **_keywords: Any) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise tmchho.WriteError("failed to call write") from None
+
+    monkeypatch.setattr(tmchho, "write", compress)
+    result = run("register", *files, "-o", tmp_path / "out", "--quiet")
+    assert result.exit_code == 130
+    assert result.stderr == "tmchho: interrupted; no unfinished file is left\n"
+    assert names_in(tmp_path) == []
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
