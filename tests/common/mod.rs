@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use tmchho::config::Config;
-use tmchho::pipeline::{VOXELS_PER_DIAGONAL, register};
+use tmchho::pipeline::register;
 use tmchho::progress::Progress;
 use tmchho::random::Stream;
 use tmchho::{Point, Registration, Rigid};
@@ -230,9 +230,4 @@ pub(crate) fn diagonal_m(points: &[Point]) -> f64 {
         values.clone().fold(f64::NEG_INFINITY, f64::max) - values.fold(f64::INFINITY, f64::min)
     };
     (0..3).map(|axis| side(axis).powi(2)).sum::<f64>().sqrt()
-}
-
-/// About the voxel that the route derives.
-pub(crate) fn voxel_m(points: &[Point]) -> f64 {
-    diagonal_m(points) / VOXELS_PER_DIAGONAL
 }
