@@ -204,7 +204,7 @@ pub fn icp(
 
 /// With trimmed pairs the mean distance never quite settles; a step that moves no point by more than
 /// this share of the residual is rest all the same.
-const MOTION_TOLERANCE: f64 = 1e-3;
+const MOTION_TOLERANCE: f64 = 5e-3;
 /// Steps of this share of the cloud's size are rounding: clouds that match exactly.
 const ROUNDING: f64 = 1e-9;
 
