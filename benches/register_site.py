@@ -46,7 +46,10 @@ def main() -> int:
             flush=True,
         )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    print(f"\nwithin a third of the voxel edge: {n_right} of {options.runs}; peak memory {peak:.2f} GiB", file=sys.stderr)
+    print(
+        f"\nwithin a third of the voxel edge: {n_right} of {options.runs}; peak memory {peak:.2f} GiB",
+        file=sys.stderr,
+    )
     return 0
 
 

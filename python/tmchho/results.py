@@ -282,7 +282,8 @@ class Registration(ReadOnlyArrays):
                 f"fit        {self.inlier_rmse:.4g} RMS of {self.n_inliers:,} of {n_voxels:,} voxels"
                 f" of edge {self.voxel_size:.4g}",
                 f"held       {self.strength:.3f} in the weakest direction, {self.weakest_direction}",
-                f"distances  source to target: median {forth.median:.4g}, 95 % below {forth.percentile_95:.4g};"
+                f"distances  source to target: median {forth.median:.4g}, 95 % below"
+                f" {forth.percentile_95:.4g};"
                 f" target to source: median {back.median:.4g}, 95 % below {back.percentile_95:.4g}",
                 f"took       {self.seconds:.1f} s, seed {self.seed}, {self.mode} mode",
             ]
