@@ -336,10 +336,8 @@ impl<'a> Search<'a> {
             );
             Ok(self.verified(pose, false))
         });
-        let mut n_done = 0;
-        for verified in refined {
+        for (i, verified) in refined.into_iter().enumerate() {
             let verified = verified?;
-            n_done += 1;
             let best = self
                 .history
                 .last()
@@ -350,7 +348,7 @@ impl<'a> Search<'a> {
             self.verified.push(verified);
             progress.emit(&Event::Advanced {
                 stage: Stage::Coarse,
-                done: n_done,
+                done: i + 1,
                 total: poses.len(),
                 best: Some(best),
             })?;
