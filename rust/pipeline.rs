@@ -5,7 +5,7 @@
 use std::time::Instant;
 
 use crate::cloud::{Cloud, MIN_POINTS, Point};
-use crate::coarse::{self, CoarseResult};
+use crate::coarse::{self, CoarseResult, StandingOut};
 use crate::config::{Config, Mode};
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
@@ -191,7 +191,11 @@ fn route(
             log.begin(Stage::Coarse, n_source, n_target)?;
             let (seed, options) = (config.seed, &config.coarse);
             let (source, target) = (&source_witnesses, &target_witnesses);
-            coarse::search_robust(source, target, unit_m, options, seed, progress)?
+            let enough = StandingOut {
+                inlier_share: config.verdict.accept_inlier_share,
+                ambiguity_ratio: config.verdict.accept_ambiguity_ratio,
+            };
+            coarse::search_robust(source, target, unit_m, options, enough, seed, progress)?
         }
         Mode::Paper => {
             log.begin(Stage::Keypoints, n_source, n_target)?;
