@@ -74,7 +74,9 @@ def row(pair: dict[str, Any], runs: list[Run]) -> str:
     wrong = [run for run in runs if not run.is_right]
 
     def counts(some: list[Run]) -> str:
-        return " / ".join(str(sum(run.verdict == v for run in some)) for v in ("accepted", "review", "rejected"))
+        return " / ".join(
+            str(sum(run.verdict == v for run in some)) for v in ("accepted", "review", "rejected")
+        )
 
     worst_deg = max((run.rotation_error_deg for run in right), default=float("nan"))
     worst = max((run.translation_error for run in right), default=float("nan"))
@@ -95,7 +97,9 @@ def main() -> int:
     pairs = json.loads(options.pairs.read_text())
     if options.level:
         pairs = [pair for pair in pairs if pair.get("level") == options.level]
-    print("| pair | right | right: accepted / review / rejected | wrong: accepted / review / rejected ", end="")
+    print(
+        "| pair | right | right: accepted / review / rejected | wrong: accepted / review / rejected ", end=""
+    )
     print("| worst right, ° | worst right, unit of the files | median s | max s |")
     print("|---|---|---|---|---|---|---|---|")
     all_runs: list[Run] = []

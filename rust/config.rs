@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::coarse::{PaperSearchOptions, RobustSearchOptions};
-use crate::error::{Error, Result, require_at_least, require_positive};
+use crate::error::{Error, Result, require_count, require_positive};
 use crate::fuse::FuseOptions;
 use crate::icp::{IcpMethod, IcpOptions};
 use crate::keypoints::{IssOptions, RADIUS_IN_VOXELS};
@@ -89,7 +89,7 @@ impl Config {
     /// [`Error::InvalidArgument`] naming the key.
     pub fn check(&self) -> Result<()> {
         if let Some(n_threads) = self.n_threads {
-            require_at_least("n_threads", n_threads, 1)?;
+            require_count("n_threads", n_threads, 1, 1024)?;
         }
         for (name, value) in [
             ("outliers.radius_m", self.outliers.radius_m),

@@ -104,10 +104,15 @@ pub(crate) fn require_positive(name: &str, value: f64) -> Result<f64> {
     }
 }
 
-/// Refuses a number outside `[low, high]`, by the name of its argument.
+/// Refuses a number outside `[low, high]`, by the name of its argument; `f64::MAX` is no limit.
 pub(crate) fn require_between(name: &str, value: f64, low: f64, high: f64) -> Result<f64> {
     if value >= low && value <= high {
         Ok(value)
+    } else if high == f64::MAX {
+        Err(Error::argument(
+            name,
+            format!("must be a number of at least {low}, got {value}"),
+        ))
     } else {
         Err(Error::argument(
             name,
@@ -118,12 +123,23 @@ pub(crate) fn require_between(name: &str, value: f64, low: f64, high: f64) -> Re
 
 /// Refuses a count below `least`, by the name of its argument.
 pub(crate) fn require_at_least(name: &str, value: usize, least: usize) -> Result<usize> {
-    if value >= least {
-        Ok(value)
-    } else {
+    require_count(name, value, least, usize::MAX)
+}
+
+/// Refuses a count outside `least..=most`, by the name of its argument. The upper limits stand for
+/// more memory or time than anybody has.
+pub(crate) fn require_count(name: &str, value: usize, least: usize, most: usize) -> Result<usize> {
+    if value < least {
         Err(Error::argument(
             name,
             format!("must be at least {least}, got {value}"),
         ))
+    } else if value > most {
+        Err(Error::argument(
+            name,
+            format!("must be at most {most}, got {value}"),
+        ))
+    } else {
+        Ok(value)
     }
 }

@@ -11,7 +11,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::cloud::{Point, distance_sq};
-use crate::error::{Error, Result, require_at_least, require_between, require_positive};
+use crate::error::{Error, Result, require_between, require_count, require_positive};
 use crate::kabsch::PairSums;
 use crate::neighbors::NeighborIndex;
 use crate::normals::Surface;
@@ -36,8 +36,8 @@ pub enum IcpMethod {
 pub struct IcpOptions {
     /// `None`: point-to-plane in robust mode, point-to-point in paper mode.
     pub method: Option<IcpMethod>,
-    /// Partners farther away do not count. `None`: three voxels in robust mode, no limit in paper
-    /// mode.
+    /// Partners farther away do not count. `None`: two and a half voxels in robust mode, no limit in
+    /// paper mode.
     pub max_distance_m: Option<f64>,
     /// Share of the pairs that count, closest first, in (0, 1].
     pub kept_share: f64,
@@ -66,7 +66,7 @@ impl IcpOptions {
         }
         require_positive("icp.kept_share", self.kept_share)?;
         require_between("icp.kept_share", self.kept_share, 0.0, 1.0)?;
-        require_at_least("icp.max_iterations", self.max_iterations, 1)?;
+        require_count("icp.max_iterations", self.max_iterations, 1, 1_000_000)?;
         require_between("icp.relative_tolerance", self.relative_tolerance, 0.0, 1.0)?;
         Ok(())
     }
@@ -144,11 +144,7 @@ pub fn icp(
             ),
         ));
     }
-    let reach_m = source
-        .iter()
-        .map(|p| distance_sq(p, &[0.0; 3]))
-        .fold(0.0, f64::max)
-        .sqrt();
+    let mut rest = Rest::new(source, start, method);
     let least_pairs = if method == IcpMethod::PointToPlane {
         6
     } else {
@@ -192,8 +188,7 @@ pub fn icp(
         let change = last.map_or(f64::INFINITY, |last| (last - step.mean_squared).abs());
         if step.mean_squared == 0.0
             || change <= options.relative_tolerance * step.mean_squared
-            || moved_by(&pose, &step.pose, reach_m)
-                <= (MOTION_TOLERANCE * result.inlier_rmse_m).max(ROUNDING * reach_m)
+            || rest.is_reached(&step.pose, result.inlier_rmse_m)
         {
             result.stop_reason = IcpStop::Converged;
             break;
@@ -202,18 +197,48 @@ pub fn icp(
     Ok(result)
 }
 
-/// With trimmed pairs the mean distance never quite settles; a step that moves no point by more than
-/// this share of the residual is rest all the same.
-const MOTION_TOLERANCE: f64 = 1e-3;
-/// Steps of this share of the cloud's size are rounding: clouds that match exactly.
-const ROUNDING: f64 = 1e-9;
+/// Knows when a pose has come to rest although the mean distance has not: where pairs come and go at
+/// the rim of the overlap it never quite settles, and the pose may run round a small cycle.
+struct Rest {
+    visited: Vec<Rigid>,
+    reach_m: f64,
+    /// Share of the residual that counts as rest.
+    tolerance: f64,
+}
 
-/// Bound on how far a point within `reach_m` of the source's origin moves between two poses.
-fn moved_by(before: &Rigid, after: &Rigid, reach_m: f64) -> f64 {
-    let step = *after * before.inverse();
-    let turned = step.rotation_angle_rad() * reach_m;
-    let at_origin = after.translation - before.translation;
-    turned + at_origin.norm()
+impl Rest {
+    fn new(source: &[Point], start: &Rigid, method: IcpMethod) -> Self {
+        let farthest_sq = source
+            .iter()
+            .map(|p| distance_sq(p, &[0.0; 3]))
+            .fold(0.0, f64::max);
+        Self {
+            visited: vec![*start],
+            reach_m: farthest_sq.sqrt(),
+            tolerance: match method {
+                // The paper's ICP creeps; only its own rule ends it.
+                IcpMethod::PointToPoint => 0.0,
+                IcpMethod::PointToPlane => 5e-3,
+            },
+        }
+    }
+
+    /// Whether no point moves by more than the tolerance, or rounding, from where the pose has been.
+    fn is_reached(&mut self, pose: &Rigid, residual_m: f64) -> bool {
+        /// Steps of this share of the cloud's size are rounding: clouds that match exactly.
+        const ROUNDING: f64 = 1e-9;
+        let tolerance_m = (self.tolerance * residual_m).max(ROUNDING * self.reach_m);
+        let moved_by = |before: &Rigid| {
+            let turned_rad = (*pose * before.inverse()).rotation_angle_rad();
+            turned_rad * self.reach_m + (pose.translation - before.translation).norm()
+        };
+        let reached = self
+            .visited
+            .iter()
+            .any(|before| moved_by(before) <= tolerance_m);
+        self.visited.push(*pose);
+        reached
+    }
 }
 
 /// The partner of every source point at a pose, and which pairs count.

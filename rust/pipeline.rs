@@ -5,7 +5,7 @@
 use std::time::Instant;
 
 use crate::cloud::{Cloud, MIN_POINTS, Point};
-use crate::coarse::{self, CoarseResult};
+use crate::coarse::{self, CoarseResult, StandingOut};
 use crate::config::{Config, Mode};
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
@@ -147,16 +147,20 @@ fn route(
     progress: &Progress<'_>,
 ) -> Result<Registration> {
     let mut config = config.clone();
-    let mut log = StageLog::new(progress, source.len(), target.len());
+    let mut log = StageLog::new(progress);
 
-    log.begin(Stage::Outliers)?;
+    log.begin(Stage::Outliers, source.len(), target.len())?;
     let source_index = NeighborIndex::new(source.points());
     let target_index = NeighborIndex::new(target.points());
     let source_cleaned = remove_outliers(source, &source_index, &config.outliers, progress)?;
     let target_cleaned = remove_outliers(target, &target_index, &config.outliers, progress)?;
     log.end(source_cleaned.cloud.len(), target_cleaned.cloud.len());
 
-    log.begin(Stage::Voxel)?;
+    log.begin(
+        Stage::Voxel,
+        source_cleaned.cloud.len(),
+        target_cleaned.cloud.len(),
+    )?;
     let unit_m = extent_of_smaller(&source_cleaned.cloud, &target_cleaned.cloud)?;
     let voxel_size_m = config
         .voxel
@@ -166,7 +170,8 @@ fn route(
     let target_voxels = downsample(&target_cleaned.cloud, voxel_size_m, progress)?.cloud;
     let source_surface = SurfaceCloud::new(&source_voxels, config.seed, progress)?;
     let target_surface = SurfaceCloud::new(&target_voxels, config.seed, progress)?;
-    log.end(source_voxels.len(), target_voxels.len());
+    let (n_source, n_target) = (source_voxels.len(), target_voxels.len());
+    log.end(n_source, n_target);
     let max_distance_m = config
         .icp
         .max_distance_m
@@ -183,13 +188,17 @@ fn route(
 
     let found = match config.mode {
         Mode::Robust => {
-            log.begin(Stage::Coarse)?;
+            log.begin(Stage::Coarse, n_source, n_target)?;
             let (seed, options) = (config.seed, &config.coarse);
             let (source, target) = (&source_witnesses, &target_witnesses);
-            coarse::search_robust(source, target, unit_m, options, seed, progress)?
+            let enough = StandingOut {
+                inlier_share: config.verdict.accept_inlier_share,
+                ambiguity_ratio: config.verdict.accept_ambiguity_ratio,
+            };
+            coarse::search_robust(source, target, unit_m, options, enough, seed, progress)?
         }
         Mode::Paper => {
-            log.begin(Stage::Keypoints)?;
+            log.begin(Stage::Keypoints, n_source, n_target)?;
             let keypoints = |cloud: &Cloud, about: Point| -> Result<Vec<Point>> {
                 let radius_m = RADIUS_IN_VOXELS * voxel_size_m;
                 let index = NeighborIndex::new(cloud.points());
@@ -204,7 +213,11 @@ fn route(
             let source_keypoints = keypoints(&source_voxels, source_surface.origin)?;
             let target_keypoints = keypoints(&target_voxels, target_surface.origin)?;
             log.end(source_keypoints.len(), target_keypoints.len());
-            log.begin(Stage::Coarse)?;
+            log.begin(
+                Stage::Coarse,
+                source_keypoints.len(),
+                target_keypoints.len(),
+            )?;
             let (seed, options) = (config.seed, &config.paper);
             coarse::search_paper(
                 &source_keypoints,
@@ -217,7 +230,7 @@ fn route(
     };
     log.keep();
 
-    log.begin(Stage::Icp)?;
+    log.begin(Stage::Icp, n_source, n_target)?;
     let coarse_pose = found.candidates[0].target_from_source;
     let fine = refine(
         &source_surface,
@@ -228,7 +241,7 @@ fn route(
     )?;
     log.keep();
 
-    log.begin(Stage::Verdict)?;
+    log.begin(Stage::Verdict, n_source, n_target)?;
     let tolerance = Tolerance::within(max_distance_m);
     let agreed = |pose: &Rigid| agreement(&source_witnesses, &target_witnesses, pose, tolerance);
     let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source));
@@ -255,7 +268,7 @@ fn route(
     );
     log.keep();
 
-    log.begin(Stage::Evaluate)?;
+    log.begin(Stage::Evaluate, source.len(), target.len())?;
     let (source_pivot, target_pivot) = (source_surface.origin, target_surface.origin);
     let given = |pose: &Rigid| pose.between_given_coordinates(source_pivot, target_pivot);
     let local = given(&pose).between_local_coordinates(source.origin(), target.origin());
@@ -422,42 +435,43 @@ fn extent_of_smaller(source: &Cloud, target: &Cloud) -> Result<f64> {
 struct StageLog<'a> {
     progress: &'a Progress<'a>,
     records: Vec<StageRecord>,
-    running: Option<(Stage, Instant)>,
-    n_source: usize,
-    n_target: usize,
+    began: Instant,
 }
 
 impl<'a> StageLog<'a> {
-    fn new(progress: &'a Progress<'a>, n_source: usize, n_target: usize) -> Self {
+    fn new(progress: &'a Progress<'a>) -> Self {
         Self {
             progress,
             records: Vec::new(),
-            running: None,
-            n_source,
-            n_target,
+            began: Instant::now(),
         }
     }
 
-    fn begin(&mut self, stage: Stage) -> Result<()> {
-        self.running = Some((stage, Instant::now()));
+    /// A stage begins with so many points.
+    fn begin(&mut self, stage: Stage, n_source: usize, n_target: usize) -> Result<()> {
+        self.began = Instant::now();
+        self.records.push(StageRecord {
+            stage,
+            n_source: (n_source, n_source),
+            n_target: (n_target, n_target),
+            seconds: 0.0,
+        });
         self.progress.emit(&Event::Started { stage })
     }
 
     /// The running stage left so many points.
     fn end(&mut self, n_source: usize, n_target: usize) {
-        if let Some((stage, began)) = self.running.take() {
-            self.records.push(StageRecord {
-                stage,
-                n_source: (self.n_source, n_source),
-                n_target: (self.n_target, n_target),
-                seconds: began.elapsed().as_secs_f64(),
-            });
-            (self.n_source, self.n_target) = (n_source, n_target);
+        if let Some(record) = self.records.last_mut() {
+            record.n_source.1 = n_source;
+            record.n_target.1 = n_target;
         }
+        self.keep();
     }
 
     /// The running stage left the points as they were.
     fn keep(&mut self) {
-        self.end(self.n_source, self.n_target);
+        if let Some(record) = self.records.last_mut() {
+            record.seconds = self.began.elapsed().as_secs_f64();
+        }
     }
 }

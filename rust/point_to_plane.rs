@@ -79,12 +79,15 @@ impl PlaneSums {
     pub fn solve(&self) -> Option<Rigid> {
         const RELATIVE_DAMPING: f64 = 1e-9;
         let mut information = self.information();
-        let damping = RELATIVE_DAMPING * information.trace() / 6.0;
-        if !damping.is_finite() || damping <= 0.0 {
-            return None;
-        }
-        for i in 0..6 {
-            information[(i, i)] += damping;
+        // Turning and shifting apart: their sizes differ by the square of the clouds' unit.
+        for motion in [0..3, 3..6] {
+            let mean = motion.clone().map(|i| information[(i, i)]).sum::<f64>() / 3.0;
+            if !mean.is_finite() || mean <= 0.0 {
+                return None;
+            }
+            for i in motion {
+                information[(i, i)] += RELATIVE_DAMPING * mean;
+            }
         }
         let step = -information.cholesky()?.solve(&self.gradient);
         step.iter().all(|v| v.is_finite()).then(|| {

@@ -187,9 +187,11 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
         }
         reasons.push(reason);
     };
-    let (share, ratio) = (evidence.inlier_share, evidence.ambiguity_ratio);
-    // Comparisons are written so that NaN never passes.
-    if !(share >= options.reject_inlier_share) {
+    // What could not be counted counts as nothing.
+    let counted = |value: f64| if value.is_nan() { 0.0 } else { value };
+    let share = counted(evidence.inlier_share);
+    let ratio = evidence.ambiguity_ratio;
+    if share < options.reject_inlier_share {
         lower(
             Verdict::Rejected,
             format!(
@@ -198,7 +200,7 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
                 100.0 * share
             ),
         );
-    } else if !(share > options.accept_inlier_share) {
+    } else if share <= options.accept_inlier_share {
         lower(
             Verdict::Review,
             format!(
@@ -218,7 +220,7 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
     } else if ratio < options.reject_ambiguity_ratio {
         // Much common surface at two poses is a repeated shape, for a person to settle; little
         // common surface at two poses is chance.
-        let chance = !(share > options.accept_inlier_share);
+        let chance = share <= options.accept_inlier_share;
         lower(
             if chance {
                 Verdict::Rejected
@@ -239,7 +241,7 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
             ),
         );
     }
-    if !(evidence.strength.weakest >= options.accept_strength) {
+    if counted(evidence.strength.weakest) < options.accept_strength {
         lower(
             Verdict::Review,
             format!(

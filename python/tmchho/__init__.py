@@ -20,6 +20,14 @@ from tmchho.config import (
     VoxelOptions,
     default_config,
 )
+from tmchho.equations import (
+    chaotic_sequence,
+    euler_to_matrix,
+    kabsch,
+    levy_steps,
+    matrix_to_euler,
+    rms_fitness,
+)
 from tmchho.errors import (
     BudgetError,
     InvalidArgumentError,
@@ -47,18 +55,12 @@ from tmchho.stages import (
     IcpResult,
     OutlierResult,
     VoxelResult,
-    chaotic_sequence,
     estimate_normals,
-    euler_to_matrix,
     icp,
     iss_keypoints,
-    kabsch,
-    levy_steps,
-    matrix_to_euler,
     median_spacing,
     nearest_distances,
     remove_outliers,
-    rms_fitness,
     voxel_downsample,
 )
 

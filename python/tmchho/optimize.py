@@ -19,12 +19,13 @@ from tmchho.arguments import (
     checked_seed,
 )
 from tmchho.config import options_json
-from tmchho.errors import InvalidArgumentError
+from tmchho.errors import BudgetError, InvalidArgumentError
 from tmchho.progress import says_stop
 from tmchho.results import ReadOnlyArrays
 
-# Beyond these a population would not fit into memory.
+# Beyond these a search would not fit into memory: 8 bytes each, several times over.
 _MOST_HAWKS = 10**6
+_MOST_COORDINATES = 10**8
 _MOST_ITERATIONS = 10**8
 
 # In the order of their numbers in `MinimizeResult.status`.
@@ -153,6 +154,8 @@ def minimize(
     InvalidArgumentError
         Naming the argument, or if `fun` returns something else than a number. Exceptions of `fun` and
         `callback` come out unchanged.
+    BudgetError
+        If the population would not fit into memory.
 
     Notes
     -----
@@ -172,9 +175,15 @@ def minimize(
     if not is_named and not callable(fun):
         raise InvalidArgumentError(f"fun must be callable or the name of a function, got {fun!r}")
     checked_callable("callback", callback)
+    n_hawks = _count("n_hawks", n_hawks, _MOST_HAWKS)
     low, high = _box(fun if isinstance(fun, str) else None, bounds, dimension)
+    if n_hawks is not None and n_hawks * len(low) > _MOST_COORDINATES:
+        raise BudgetError(
+            f"{n_hawks} hawks of {len(low)} coordinates do not fit into memory; "
+            f"n_hawks times dimension can be {_MOST_COORDINATES} at most"
+        )
     options = options_json(
-        n_hawks=_count("n_hawks", n_hawks, _MOST_HAWKS),
+        n_hawks=n_hawks,
         n_iterations=_count("n_iterations", n_iterations, _MOST_ITERATIONS),
         max_evaluations=_count("max_evaluations", max_evaluations, 2**53),
         levy_factor=None if levy_factor is None else checked_number("levy_factor", levy_factor),

@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tmchho.cloud import PointCloud
+from tmchho.equations import matrix_to_euler
 from tmchho.errors import ReadError, WriteError
 from tmchho.io import atomic_path, check_output, check_writable_folder
-from tmchho.stages import matrix_to_euler
 
 if TYPE_CHECKING:
     from tmchho.fused import FusedCloud

@@ -265,23 +265,27 @@ class Registration(ReadOnlyArrays):
 
     def summary(self) -> str:
         """Return the result in a few lines for people; angles are in degrees."""
-        first, last = self.stages[0], self.stages[-1]
+        first = self.stages[0]
         turn_deg = math.degrees(_rotation_angle_rad(self.transformation))
-        shift = ", ".join(f"{value:.4f}" for value in self.transformation[:3, 3])
-        distances = self.source_to_target
-        seconds = f"{self.seconds:.1f} s, seed {self.seed}, {self.mode} mode"
+        # Where the middle of the source goes; the matrix's own shift is that of a far-away origin.
+        shift = np.linalg.norm(self.pivot_transformation[:3, 3] + self.target_pivot - self.source_pivot)
+        n_voxels = next(stage.n_source_out for stage in self.stages if stage.name == "voxel")
+        forth, back = self.source_to_target, self.target_to_source
         return "\n".join(
             [
                 f"{self.verdict}: {'; '.join(self.reasons)}",
-                f"source     {self.source_name} ({first.n_source_in} points)",
-                f"target     {self.target_name} ({first.n_target_in} points)",
-                f"pose       turned by {turn_deg:.4f}°, shifted by ({shift})",
+                f"source     {self.source_name} ({first.n_source_in:,} points)",
+                f"target     {self.target_name} ({first.n_target_in:,} points)",
+                f"pose       turned by {turn_deg:.4f}°, its middle moved by {shift:.4f}",
                 f"overlap    {self.overlap_of_source:.1%} of the source, {self.overlap_of_target:.1%} of the"
                 f" target within {self.max_distance:.4g}",
-                f"residual   {self.inlier_rmse:.4g} RMS of {self.n_inliers} of {last.n_source_out} voxels",
-                f"distances  mean {distances.mean:.4g}, median {distances.median:.4g},"
-                f" 95 % below {distances.percentile_95:.4g} (source to target)",
-                f"took       {seconds}",
+                f"fit        {self.inlier_rmse:.4g} RMS of {self.n_inliers:,} of {n_voxels:,} voxels"
+                f" of edge {self.voxel_size:.4g}",
+                f"held       {self.strength:.3f} in the weakest direction, {self.weakest_direction}",
+                f"distances  source to target: median {forth.median:.4g}, 95 % below"
+                f" {forth.percentile_95:.4g};"
+                f" target to source: median {back.median:.4g}, 95 % below {back.percentile_95:.4g}",
+                f"took       {self.seconds:.1f} s, seed {self.seed}, {self.mode} mode",
             ]
         )
 

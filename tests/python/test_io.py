@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 import tmchho.io
 from tmchho.cloud import PointCloud
 from tmchho.errors import BudgetError, InvalidArgumentError, InvalidCloudError, ReadError, WriteError

@@ -10,6 +10,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
+
 import tmchho.io
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError

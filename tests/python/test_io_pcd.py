@@ -9,8 +9,9 @@ from typing import Any
 import lzf
 import numpy as np
 import pytest
-import tmchho.io
 from numpy.typing import NDArray
+
+import tmchho.io
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tmchho.io
 from numpy.typing import NDArray
+
+import tmchho.io
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError, WriteError
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 import tmchho.io
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError

@@ -274,3 +274,8 @@ def test_a_search_within_a_search() -> None:
 def test_a_wrong_argument_is_refused_by_its_name(arguments: dict[str, Any], problem: str) -> None:
     with pytest.raises(errors.InvalidArgumentError, match=problem):
         tmchho.minimize(**{"fun": bowl, "bounds": BOX, **arguments})
+
+
+def test_a_population_that_does_not_fit_into_memory_is_refused() -> None:
+    with pytest.raises(errors.BudgetError, match="n_hawks"):
+        tmchho.minimize("f1", dimension=10**6, n_hawks=10**6)

@@ -7,6 +7,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+
 from tmchho.errors import InvalidArgumentError
 from tmchho.simulate import (
     Material,

@@ -47,6 +47,9 @@ _EXTENDED_LIMITS = {
 
 # Rebuilt for every file, or true only of the file they stood in: LASzip's record, extra bytes,
 # COPC's octree, LAStools' spatial index.
+# The compressor does not hear Ctrl-C; a tenth of a second passes between these. Ten of its chunks, so that
+# the bytes are those of one call.
+_POINTS_AT_ONCE = 500_000
 _NOT_KEPT = {LASZIP, EXTRA_BYTES, ("copc", 1), ("copc", 1000), ("LAStools", 30)}
 _CRS_RECORDS = {("LASF_Projection", number) for number in (2111, 2112, 34735, 34736, 34737)}
 
@@ -82,7 +85,8 @@ def write_las(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
         header.global_encoding.value |= _WKT_BIT
     points = _points(cloud, grid, standard, extra, header.point_format)
     with laspy.open(path, "w", header=header, do_compress=is_compressed) as writer:
-        writer.write_points(points)
+        for start in range(0, len(points), _POINTS_AT_ONCE):
+            writer.write_points(points[start : start + _POINTS_AT_ONCE])
         if extended_records:
             writer.write_evlrs(laspy.vlrs.vlrlist.VLRList(map(_for_laspy, extended_records)))
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tmchho.errors import ReadError
 from tmchho.io.las_header import LASZIP, LasHeader
 
+_POINTS_AT_ONCE = 500_000
 _POINTWISE, _LAYERED = 1, 3  # the first compressor, one stream without chunks, and that of LAS 1.4
 _VARIABLE_CHUNKS = 0xFFFFFFFF
 # Identical points, the best case, come to less than 150 a byte.
@@ -81,12 +82,24 @@ def decompress(path: Path, header: LasHeader) -> NDArray[np.uint8]:
             decoder = lazrs.ParLasZipDecompressor(stream, compression.with_chunk_size(chunk_size))
         data = np.empty(header.n_points * header.point_bytes, dtype=np.uint8)
         try:
-            decoder.decompress_many(data)
+            for part in _parts_between_signals(data, header, compression):
+                decoder.decompress_many(part)
         except lazrs.LazrsError as error:
             raise ReadError(
                 f"is damaged: its {header.n_points} points cannot be decompressed ({error}); copy it again"
             ) from error
     return data
+
+
+def _parts_between_signals(
+    data: NDArray[np.uint8], header: LasHeader, compression: _Compression
+) -> list[NDArray[np.uint8]]:
+    """Cut the buffer into whole chunks: the decoder does not hear Ctrl-C, the loop over these does."""
+    chunk_size = compression.chunk_size
+    if compression.compressor == _POINTWISE or chunk_size == _VARIABLE_CHUNKS:
+        return [data]
+    step = -(-_POINTS_AT_ONCE // chunk_size) * chunk_size * header.point_bytes
+    return [data[start : start + step] for start in range(0, len(data), step)]
 
 
 def _compression(header: LasHeader) -> _Compression:
