@@ -34,13 +34,15 @@ pub mod voxel;
 // Floor 3: the route.
 pub mod config;
 pub mod pipeline;
+pub mod registration;
 #[cfg(feature = "python")]
 mod python;
 
 pub use cloud::{Cloud, Point};
 pub use config::Config;
 pub use error::{Error, Result};
-pub use pipeline::{Registration, register};
+pub use pipeline::register;
+pub use registration::Registration;
 pub use rigid::Rigid;
 
 /// Runs the README's Rust example as a test.

@@ -2,8 +2,6 @@
 //!
 //! outliers → voxel → keypoints → coarse → icp → verdict → evaluate, and then fuse.
 
-use std::time::Instant;
-
 use crate::cloud::{Cloud, MIN_POINTS, Point};
 use crate::coarse::{self, CoarseResult, StandingOut};
 use crate::config::{Config, Mode};
@@ -17,92 +15,16 @@ use crate::neighbors::NeighborIndex;
 use crate::outlier::remove_outliers;
 use crate::parallel;
 use crate::progress::{Event, Progress, Stage};
+use crate::registration::{Registration, StageLog};
 use crate::rigid::Rigid;
 use crate::surface_cloud::SurfaceCloud;
-use crate::verdict::{Evidence, Strength, Verdict, judge};
+use crate::verdict::{Evidence, Strength, judge};
 use crate::voxel::downsample;
 
 /// Voxels along the extent of the smaller cloud, where no edge is asked for.
 pub const VOXELS_PER_EXTENT: f64 = 250.0;
 /// A partner within so many voxels supports the pose, where no distance is asked for.
 pub const SUPPORT_IN_VOXELS: f64 = 2.5;
-
-/// What one stage did.
-#[derive(Debug, Clone, PartialEq)]
-pub struct StageRecord {
-    /// Which stage.
-    pub stage: Stage,
-    /// Points of the source that went in and came out.
-    pub n_source: (usize, usize),
-    /// Points of the target that went in and came out.
-    pub n_target: (usize, usize),
-    /// Wall time.
-    pub seconds: f64,
-}
-
-/// The result of a registration. Poses take source coordinates to target coordinates, as given.
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub struct Registration {
-    /// The pose.
-    pub target_from_source: Rigid,
-    /// The same pose about two pivots: q = R·(p − source pivot) + t + target pivot. Small numbers,
-    /// so that nothing is lost where the matrix is written as text.
-    pub about_pivots: Rigid,
-    /// Pivot in the source: its centroid.
-    pub source_pivot: Point,
-    /// Pivot in the target: its centroid.
-    pub target_pivot: Point,
-    /// The verdict.
-    pub verdict: Verdict,
-    /// Why, the weightiest first.
-    pub reasons: Vec<String>,
-    /// Source voxels with a partner within `max_distance_m`, by all source voxels.
-    pub fitness: f64,
-    /// Root mean squared distance of those pairs.
-    pub inlier_rmse_m: f64,
-    /// Number of those pairs.
-    pub n_inliers: usize,
-    /// Share of the source points, at full density, within `max_distance_m` of a target point.
-    pub overlap_of_source: f64,
-    /// Share of the target points, at full density, within `max_distance_m` of a source point.
-    pub overlap_of_target: f64,
-    /// Points of both clouds with a partner and an agreeing normal, by twice the points of the
-    /// smaller cloud.
-    pub inlier_share: f64,
-    /// Score of the best pose by the score of its best rival; NaN in paper mode.
-    pub ambiguity_ratio: f64,
-    /// How firmly the common surface holds the pose.
-    pub strength: Strength,
-    /// The best poses found, best first: (pose, score).
-    pub candidates: Vec<(Rigid, f64)>,
-    /// Poses for which the clouds were compared during the search.
-    pub n_evaluations: usize,
-    /// Best score of the search so far, step by step.
-    pub history: Vec<f64>,
-    /// Why ICP ended.
-    pub icp_stop: IcpStop,
-    /// Iterations of ICP.
-    pub n_icp_iterations: usize,
-    /// Mean squared distance after each iteration of ICP.
-    pub icp_history: Vec<f64>,
-    /// Distances from every source point to the target, at full density.
-    pub source_to_target: DistanceStatistics,
-    /// Distances from every target point to the source, at full density.
-    pub target_to_source: DistanceStatistics,
-    /// Points dropped because a coordinate was NaN or infinite: source, target.
-    pub n_non_finite: (usize, usize),
-    /// Radius of the outlier removal: source, target.
-    pub outlier_radius_m: (f64, f64),
-    /// Edge of the voxels.
-    pub voxel_size_m: f64,
-    /// Distance within which a partner supports the pose.
-    pub max_distance_m: f64,
-    /// What each stage did.
-    pub stages: Vec<StageRecord>,
-    /// The configuration with everything that was derived filled in.
-    pub config: Config,
-}
 
 /// Registers `source` onto `target`: no targets, no initial guess, no numbers needed.
 ///
@@ -429,49 +351,4 @@ fn extent_of_smaller(source: &Cloud, target: &Cloud) -> Result<f64> {
         }
     }
     Ok(source.extent_m().min(target.extent_m()))
-}
-
-/// Tells the caller where the route is, and keeps what each stage did.
-struct StageLog<'a> {
-    progress: &'a Progress<'a>,
-    records: Vec<StageRecord>,
-    began: Instant,
-}
-
-impl<'a> StageLog<'a> {
-    fn new(progress: &'a Progress<'a>) -> Self {
-        Self {
-            progress,
-            records: Vec::new(),
-            began: Instant::now(),
-        }
-    }
-
-    /// A stage begins with so many points.
-    fn begin(&mut self, stage: Stage, n_source: usize, n_target: usize) -> Result<()> {
-        self.began = Instant::now();
-        self.records.push(StageRecord {
-            stage,
-            n_source: (n_source, n_source),
-            n_target: (n_target, n_target),
-            seconds: 0.0,
-        });
-        self.progress.emit(&Event::Started { stage })
-    }
-
-    /// The running stage left so many points.
-    fn end(&mut self, n_source: usize, n_target: usize) {
-        if let Some(record) = self.records.last_mut() {
-            record.n_source.1 = n_source;
-            record.n_target.1 = n_target;
-        }
-        self.keep();
-    }
-
-    /// The running stage left the points as they were.
-    fn keep(&mut self) {
-        if let Some(record) = self.records.last_mut() {
-            record.seconds = self.began.elapsed().as_secs_f64();
-        }
-    }
 }

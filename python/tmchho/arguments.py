@@ -16,24 +16,29 @@ from numpy.typing import NDArray
 from tmchho.errors import InvalidArgumentError
 
 _MAX_SEED = 2**64 - 1
+_NO_LIMIT = 2**53  # whole numbers beyond it do not survive a float
 
 
-def checked_count(name: str, value: Any, least: int = 0, most: int = 2**53) -> int:
+def checked_count(name: str, value: Any, least: int = 0, most: int = _NO_LIMIT) -> int:
     """Return a whole number within [least, most], or raise `InvalidArgumentError` naming the argument."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise InvalidArgumentError(f"{name} must be a whole number, got {value!r}")
     if not least <= value <= most:
-        raise InvalidArgumentError(f"{name} must be between {least} and {most}, got {value}")
+        limits = f"at least {least}" if most == _NO_LIMIT and value < least else f"between {least} and {most}"
+        raise InvalidArgumentError(f"{name} must be {limits}, got {value}")
     return int(value)
 
 
-def checked_number(name: str, value: Any) -> float:
-    """Return a finite number, or raise `InvalidArgumentError` naming the argument."""
+def checked_number(name: str, value: Any, low: float = -math.inf, high: float = math.inf) -> float:
+    """Return a finite number within [low, high], or raise `InvalidArgumentError` naming the argument."""
     wrong_kind = isinstance(value, (bool, np.bool_)) or not isinstance(
         value, (int, float, np.integer, np.floating)
     )
     if wrong_kind or not math.isfinite(value):
         raise InvalidArgumentError(f"{name} must be a finite number, got {value!r}")
+    if not low <= value <= high:
+        limits = f"at least {low:g}" if math.isinf(high) else f"between {low:g} and {high:g}"
+        raise InvalidArgumentError(f"{name} must be {limits}, got {value!r}")
     return float(value)
 
 

@@ -12,6 +12,7 @@ use super::run::{briefly, with_progress};
 use crate::config::Config;
 use crate::evaluate::{DistanceStatistics, share_within};
 use crate::pipeline;
+use crate::registration::Registration;
 
 /// Registers `source` onto `target`.
 #[pyfunction]
@@ -30,7 +31,7 @@ pub(super) fn register<'py>(
     briefly(|| registration(py, found))
 }
 
-fn registration(py: Python<'_>, found: pipeline::Registration) -> PyResult<Bound<'_, PyDict>> {
+fn registration(py: Python<'_>, found: Registration) -> PyResult<Bound<'_, PyDict>> {
     let candidates = PyList::empty(py);
     for (pose, score) in &found.candidates {
         candidates.append((from_pose(py, pose), score))?;

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 from zlib import crc32
 
 import numpy as np
 
+from tmchho.arguments import checked_count, checked_number
 from tmchho.errors import InvalidArgumentError
 
 
@@ -21,34 +21,6 @@ def stream(seed: int, name: str, *cell: int) -> np.random.Generator:
     # Cell numbers may be negative, the words of a seed may not.
     words = [value & 0xFFFFFFFF for value in cell]
     return np.random.default_rng([seed, crc32(name.encode()), *words])
-
-
-def checked_seed(seed: Any) -> int:
-    """Return `seed` as a plain int, or say why it cannot be one."""
-    return checked_count("seed", seed, 0)
-
-
-def checked_count(name: str, value: Any, low: int, high: int | None = None) -> int:
-    """Return a whole number within [low, high], or raise `InvalidArgumentError` naming the argument."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise InvalidArgumentError(f"{name} must be a whole number, got {value!r}")
-    if value < low or (high is not None and value > high):
-        limits = f"at least {low}" if high is None else f"between {low} and {high}"
-        raise InvalidArgumentError(f"{name} must be {limits}, got {value}")
-    return int(value)
-
-
-def checked_number(name: str, value: Any, low: float, high: float = math.inf) -> float:
-    """Return a finite number within [low, high], or raise `InvalidArgumentError` naming the argument."""
-    wrong_kind = isinstance(value, (bool, np.bool_)) or not isinstance(
-        value, (int, float, np.integer, np.floating)
-    )
-    if wrong_kind or not math.isfinite(value):
-        raise InvalidArgumentError(f"{name} must be a finite number, got {value!r}")
-    if not low <= value <= high:
-        limits = f"at least {low:g}" if math.isinf(high) else f"between {low:g} and {high:g}"
-        raise InvalidArgumentError(f"{name} must be {limits}, got {value!r}")
-    return float(value)
 
 
 def checked_n_points(name: str, value: Any) -> int:

@@ -8,16 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from tmchho.arguments import checked_number, checked_seed
 from tmchho.cloud import PointCloud
 from tmchho.errors import InvalidArgumentError
-from tmchho.simulate.arguments import (
-    checked_n_points,
-    checked_noise,
-    checked_number,
-    checked_outlier_share,
-    checked_seed,
-    stream,
-)
+from tmchho.simulate.arguments import checked_n_points, checked_noise, checked_outlier_share, stream
 from tmchho.simulate.ground import Array
 from tmchho.simulate.photogrammetry import survey_photogrammetry
 from tmchho.simulate.scanner import survey_scanner

@@ -13,15 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tmchho.arguments import checked_number, checked_seed
 from tmchho.cloud import PointCloud
-from tmchho.simulate.arguments import (
-    checked_n_points,
-    checked_noise,
-    checked_number,
-    checked_outlier_share,
-    checked_seed,
-    stream,
-)
+from tmchho.simulate.arguments import checked_n_points, checked_noise, checked_outlier_share, stream
 from tmchho.simulate.ground import Array, Ground, value_noise
 from tmchho.simulate.materials import COLOURS, LAS_CLASS, LAS_CLASS_STRAY, Material
 from tmchho.simulate.site import Site

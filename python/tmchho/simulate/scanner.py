@@ -13,16 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tmchho.arguments import checked_number, checked_seed
 from tmchho.cloud import PointCloud
 from tmchho.errors import InvalidArgumentError
-from tmchho.simulate.arguments import (
-    checked_n_points,
-    checked_noise,
-    checked_number,
-    checked_outlier_share,
-    checked_seed,
-    stream,
-)
+from tmchho.simulate.arguments import checked_n_points, checked_noise, checked_outlier_share, stream
 from tmchho.simulate.ground import Area, Array
 from tmchho.simulate.materials import LAS_CLASS, LAS_CLASS_STRAY, REFLECTANCE, Material
 from tmchho.simulate.site import Site

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tmchho.arguments import checked_number, checked_seed
 from tmchho.errors import InvalidArgumentError
-from tmchho.simulate.arguments import checked_number, checked_offset, checked_seed
+from tmchho.simulate.arguments import checked_offset
 from tmchho.simulate.earthworks import build_ground, draw_plan
 from tmchho.simulate.furniture import furnish
 from tmchho.simulate.ground import Area, Ground

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from tmchho.arguments import checked_count, checked_seed
 from tmchho.errors import InvalidArgumentError
-from tmchho.simulate.arguments import checked_count, checked_seed, stream
+from tmchho.simulate.arguments import stream
 from tmchho.simulate.ground import Array
 from tmchho.simulate.materials import Material
 from tmchho.simulate.site import Site
