@@ -34,9 +34,9 @@ pub mod voxel;
 // Floor 3: the route.
 pub mod config;
 pub mod pipeline;
-pub mod registration;
 #[cfg(feature = "python")]
 mod python;
+pub mod registration;
 
 pub use cloud::{Cloud, Point};
 pub use config::Config;
