@@ -170,7 +170,8 @@ fn nothing_below_the_route_knows_python_or_the_route() {
     let breaches: Vec<String> = edges(&files())
         .iter()
         .filter(|(file, to)| {
-            upper.contains(&to.as_str()) && !["python", "pipeline", "registration"].contains(&file.module.as_str())
+            upper.contains(&to.as_str())
+                && !["python", "pipeline", "registration"].contains(&file.module.as_str())
         })
         .map(|(file, to)| format!("rust/{} imports {to}", file.path))
         .collect();

@@ -41,7 +41,12 @@ pub struct PaperSearchOptions {
 
 impl PaperSearchOptions {
     pub(crate) fn check(&self) -> Result<()> {
-        self.hawks.check()
+        self.hawks.check().map_err(|error| match error {
+            Error::InvalidArgument { name, problem } => {
+                Error::argument(format!("paper.hawks.{name}"), problem)
+            }
+            other => other,
+        })
     }
 }
 
