@@ -207,7 +207,9 @@ fn the_result_is_of_one_piece() {
     );
     let (best, score) = found.candidates[0];
     assert!(pair.error_m(&best) < 2.0 * found.voxel_size_m);
-    assert_eq!(found.history.last(), Some(&score));
+    // A pose at rest may score a trifle less than the best that was ever seen.
+    let last = *found.history.last().unwrap();
+    assert!(last >= score && last < 1.05 * score, "{last} {score}");
     assert!(
         found.history.windows(2).all(|pair| pair[0] <= pair[1]),
         "{:?} {:?}",

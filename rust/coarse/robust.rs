@@ -365,7 +365,8 @@ impl<'a> Search<'a> {
         self.rank();
         self.finish_leaders(progress)?;
         let best = self.best().map_or(0.0, |v| v.agreement.score);
-        self.history.push(best);
+        let before = self.history.last().copied().unwrap_or(0.0);
+        self.history.push(best.max(before));
         Ok(())
     }
 
