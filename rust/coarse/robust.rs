@@ -48,7 +48,7 @@ impl RobustSearchOptions {
             "the length of coarse.rotations_per_round",
             rounds.len(),
             1,
-            16,
+            1000,
         )?;
         for n in rounds {
             require_count("coarse.rotations_per_round", *n, 1, 100_000)?;
