@@ -166,6 +166,7 @@ fn stages(criterion: &mut Criterion) {
             let enough = StandingOut {
                 inlier_share: 0.0,
                 ambiguity_ratio: 0.0,
+                share_times_ratio: 0.0,
             };
             let found = search_robust(&moving, &fixed, unit_m, &options, enough, 0, &silent);
             black_box(found.is_ok());

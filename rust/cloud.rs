@@ -64,7 +64,7 @@ impl Cloud {
                 needed: MIN_POINTS,
             });
         }
-        if let Some(shape) = degenerate_shape(&cloud.points) {
+        if let Some(shape) = degenerate_shape(&cloud.points, &cloud.origin) {
             return Err(Error::Degenerate {
                 what: what.into(),
                 shape,
@@ -259,10 +259,11 @@ pub(crate) fn distance_sq(a: &Point, b: &Point) -> f64 {
 
 /// Names the shape of a cloud in which no pose is determined, if it has one.
 ///
-/// The threshold is relative to the size of the cloud, far above what rounding leaves on a line of
-/// national-grid coordinates and far below what any instrument resolves.
-fn degenerate_shape(points: &[Point]) -> Option<&'static str> {
-    const RELATIVE_WIDTH: f64 = 1e-7;
+/// A cloud counts as thin below a share of its length that no instrument resolves, plus what
+/// rounding leaves on a line far from the origin of the coordinates given.
+fn degenerate_shape(points: &[Point], origin: &Point) -> Option<&'static str> {
+    const RELATIVE_WIDTH: f64 = 1e-9;
+    const ROUNDING: f64 = 32.0 * f64::EPSILON;
     let a = points[0];
     let farthest = |from: &Point| {
         points
@@ -288,7 +289,9 @@ fn degenerate_shape(points: &[Point]) -> Option<&'static str> {
         .max_by(|p, q| off_line_sq(p).total_cmp(&off_line_sq(q)))
         .unwrap_or(a);
     let widest_sq = off_line_sq(&c);
-    let threshold_sq = length_sq * RELATIVE_WIDTH * RELATIVE_WIDTH;
+    let farthest_m = origin.iter().fold(0.0_f64, |most, v| most.max(v.abs())) + length_sq.sqrt();
+    let threshold_m = RELATIVE_WIDTH * length_sq.sqrt() + ROUNDING * farthest_m;
+    let threshold_sq = threshold_m * threshold_m;
     if widest_sq <= threshold_sq {
         return Some("all points lie on one line");
     }

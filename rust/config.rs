@@ -98,6 +98,14 @@ impl Config {
                 "keypoints.non_max_radius_m",
                 self.keypoints.non_max_radius_m,
             ),
+            (
+                "keypoints.max_ratio_second_to_first",
+                Some(self.keypoints.max_ratio_second_to_first),
+            ),
+            (
+                "keypoints.max_ratio_third_to_second",
+                Some(self.keypoints.max_ratio_third_to_second),
+            ),
         ] {
             value.map_or(Ok(()), |value| require_positive(name, value).map(drop))?;
         }

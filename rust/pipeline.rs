@@ -116,6 +116,7 @@ fn route(
             let enough = StandingOut {
                 inlier_share: config.verdict.accept_inlier_share,
                 ambiguity_ratio: config.verdict.accept_ambiguity_ratio,
+                share_times_ratio: config.verdict.accept_share_times_ratio,
             };
             coarse::search_robust(source, target, unit_m, options, enough, seed, progress)?
         }

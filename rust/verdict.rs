@@ -44,6 +44,9 @@ pub struct VerdictOptions {
     pub accept_inlier_share: f64,
     /// Accept only where the best pose scores so many times its best rival; at least 1.
     pub accept_ambiguity_ratio: f64,
+    /// Accept only where the share of inliers times the ambiguity ratio is above this: the less the
+    /// clouds share, the clearer the lead must be. At least 0.
+    pub accept_share_times_ratio: f64,
     /// Accept only where the least constrained direction is held by this share of what all points
     /// together could hold, in 0 to 1.
     pub accept_strength: f64,
@@ -59,6 +62,7 @@ impl Default for VerdictOptions {
         Self {
             accept_inlier_share: 0.30,
             accept_ambiguity_ratio: 1.75,
+            accept_share_times_ratio: 1.0,
             accept_strength: 0.003,
             reject_inlier_share: 0.20,
             reject_ambiguity_ratio: 1.10,
@@ -83,6 +87,8 @@ impl VerdictOptions {
         )?;
         let ratio = self.accept_ambiguity_ratio;
         require_between("verdict.accept_ambiguity_ratio", ratio, 1.0, f64::MAX)?;
+        let product = self.accept_share_times_ratio;
+        require_between("verdict.accept_share_times_ratio", product, 0.0, f64::MAX)?;
         require_between(
             "verdict.reject_ambiguity_ratio",
             self.reject_ambiguity_ratio,
@@ -191,6 +197,9 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
     let counted = |value: f64| if value.is_nan() { 0.0 } else { value };
     let share = counted(evidence.inlier_share);
     let ratio = evidence.ambiguity_ratio;
+    let needed_ratio = options
+        .accept_ambiguity_ratio
+        .max(options.accept_share_times_ratio / share);
     if share < options.reject_inlier_share {
         lower(
             Verdict::Rejected,
@@ -232,12 +241,13 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
                  repeated shapes, too little overlap, or clouds of different places"
             ),
         );
-    } else if ratio <= options.accept_ambiguity_ratio {
+    } else if ratio <= needed_ratio {
         lower(
             Verdict::Review,
             format!(
-                "the best pose scores {ratio:.2} times the next one, {:.2} times are asked for",
-                options.accept_ambiguity_ratio
+                "the best pose scores {ratio:.2} times the next one, {needed_ratio:.2} times are asked \
+                 for where {:.0} % of the smaller cloud match",
+                100.0 * share
             ),
         );
     }
@@ -278,7 +288,7 @@ mod tests {
     fn good() -> Evidence {
         Evidence {
             inlier_share: 0.5,
-            ambiguity_ratio: 2.0,
+            ambiguity_ratio: 2.5,
             strength: Strength {
                 weakest: 0.02,
                 direction: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],

@@ -27,7 +27,7 @@ pub struct VoxelOptions {
 impl VoxelOptions {
     pub(crate) fn check(&self) -> Result<()> {
         self.voxel_size_m.map_or(Ok(()), |size_m| {
-            require_positive("voxel_size_m", size_m).map(drop)
+            require_positive("voxel.voxel_size_m", size_m).map(drop)
         })
     }
 }

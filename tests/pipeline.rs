@@ -207,10 +207,10 @@ fn the_result_is_of_one_piece() {
     );
     let (best, score) = found.candidates[0];
     assert!(pair.error_m(&best) < 2.0 * found.voxel_size_m);
-    assert_eq!(found.history.last(), Some(&score));
-    // The last refinement, with exact partners, may cost a witness.
-    let (last, before) = found.history.split_last().unwrap();
-    assert!(before.is_sorted() && *last > 0.99 * before[before.len() - 1]);
+    // A pose at rest may score a trifle less than the best that was ever seen.
+    let last = *found.history.last().unwrap();
+    assert!(last >= score && last < 1.05 * score, "{last} {score}");
+    assert!(found.history.is_sorted());
     assert!(found.inlier_rmse_m <= found.max_distance_m);
     assert!(found.n_icp_iterations == found.icp_history.len() && found.n_evaluations > 1000);
 }
@@ -516,7 +516,6 @@ fn whoever_says_stop_is_obeyed_at_once() {
 }
 
 #[test]
-#[ignore = "the paper's search goes on to the next stage with what it has found so far"]
 fn saying_stop_once_is_enough() {
     let pair = Pair::new(Scene::Field, 4000, 111);
     for config in [Config::default(), quick_paper()] {

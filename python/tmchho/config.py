@@ -182,12 +182,15 @@ class VerdictOptions:
         Shares of inliers, 0 to 1: accept only above the one, reject below the other.
     accept_ambiguity_ratio, reject_ambiguity_ratio : float, optional
         Score of the best pose by that of its best rival, at least 1.
+    accept_share_times_ratio : float, optional
+        Accept only where the product of both is above this, at least 0.
     accept_strength : float, optional
         Accept only where the weakest direction is held by this share, 0 to 1.
     """
 
     accept_inlier_share: float | None = None
     accept_ambiguity_ratio: float | None = None
+    accept_share_times_ratio: float | None = None
     accept_strength: float | None = None
     reject_inlier_share: float | None = None
     reject_ambiguity_ratio: float | None = None

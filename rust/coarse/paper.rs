@@ -13,7 +13,7 @@ use crate::cloud::{Point, bounds, centroid, distance_sq};
 use crate::error::{Error, Result};
 use crate::fitness::rms_below;
 use crate::neighbors::NeighborIndex;
-use crate::optim::{Bounds, HawkOptions, Objective, Optimizer};
+use crate::optim::{Bounds, HawkOptions, Objective, Optimizer, StopReason};
 use crate::progress::{Event, Progress, Stage};
 use crate::random::Stream;
 use crate::rigid::Rigid;
@@ -41,7 +41,12 @@ pub struct PaperSearchOptions {
 
 impl PaperSearchOptions {
     pub(crate) fn check(&self) -> Result<()> {
-        self.hawks.check()
+        self.hawks.check().map_err(|error| match error {
+            Error::InvalidArgument { name, problem } => {
+                Error::argument(format!("paper.hawks.{name}"), problem)
+            }
+            other => other,
+        })
     }
 }
 
@@ -108,7 +113,9 @@ pub fn search_paper(
                 Err(_) => ControlFlow::Break(()),
             }
         })?;
-    progress.check()?;
+    if found.stop_reason == StopReason::Callback {
+        return Err(Error::Cancelled);
+    }
     Ok(CoarseResult {
         candidates: vec![Candidate {
             target_from_source: pose_of(&found.x)

@@ -135,6 +135,8 @@ pub struct StandingOut {
     pub inlier_share: f64,
     /// And above this score by that of the best rival.
     pub ambiguity_ratio: f64,
+    /// And above this product of both.
+    pub share_times_ratio: f64,
 }
 
 /// Finds the pose of `source` in `target`. Both should be voxel-uniform, with the same voxel;
@@ -363,7 +365,8 @@ impl<'a> Search<'a> {
         self.rank();
         self.finish_leaders(progress)?;
         let best = self.best().map_or(0.0, |v| v.agreement.score);
-        self.history.push(best);
+        let before = self.history.last().copied().unwrap_or(0.0);
+        self.history.push(best.max(before));
         Ok(())
     }
 
@@ -472,9 +475,12 @@ impl<'a> Search<'a> {
     }
 
     fn stands_out(&self, enough: StandingOut) -> bool {
-        self.best()
-            .is_some_and(|v| v.agreement.inlier_share > enough.inlier_share)
-            && self.ambiguity_ratio() > enough.ambiguity_ratio
+        let share = self.best().map_or(0.0, |v| v.agreement.inlier_share);
+        if share <= enough.inlier_share {
+            return false;
+        }
+        let ratio = self.ambiguity_ratio();
+        ratio > enough.ambiguity_ratio && share * ratio > enough.share_times_ratio
     }
 
     fn finish(self, source_moves: bool) -> Result<CoarseResult> {
