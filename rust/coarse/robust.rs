@@ -344,8 +344,10 @@ impl<'a> Search<'a> {
             );
             Ok(self.verified(pose, false))
         });
+        // Somebody may have said stop meanwhile: then nothing more is told.
+        let refined = refined.into_iter().collect::<Result<Vec<_>>>()?;
+        let n_refined = refined.len();
         for (i, verified) in refined.into_iter().enumerate() {
-            let verified = verified?;
             let best = self
                 .history
                 .last()
@@ -357,7 +359,7 @@ impl<'a> Search<'a> {
             progress.emit(&Event::Advanced {
                 stage: Stage::Coarse,
                 done: i + 1,
-                total: poses.len(),
+                total: n_refined,
                 best: Some(best),
             })?;
         }
