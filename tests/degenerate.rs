@@ -169,7 +169,7 @@ fn one_voxel_over_all_is_no_cloud() {
 }
 
 /// Every key that has a range, and a value outside it.
-const OUT_OF_RANGE: [(&str, &str); 31] = [
+const OUT_OF_RANGE: [(&str, &str); 32] = [
     ("n_threads", r#"{"n_threads": 0}"#),
     ("outliers.radius_m", r#"{"outliers": {"radius_m": 0}}"#),
     ("outliers.radius_m", r#"{"outliers": {"radius_m": -1}}"#),
@@ -252,6 +252,10 @@ const OUT_OF_RANGE: [(&str, &str); 31] = [
     (
         "verdict.reject_ambiguity_ratio",
         r#"{"verdict": {"reject_ambiguity_ratio": 9}}"#,
+    ),
+    (
+        "verdict.accept_share_times_ratio",
+        r#"{"verdict": {"accept_share_times_ratio": -1}}"#,
     ),
     ("fuse.hole_radius_m", r#"{"fuse": {"hole_radius_m": 0}}"#),
     ("fuse.hole_radius_m", r#"{"fuse": {"hole_radius_m": -2}}"#),
