@@ -34,9 +34,11 @@ pub mod voxel;
 // Floor 3: the route.
 pub mod config;
 pub mod pipeline;
+pub mod registration;
+
+// The bindings: the only room with Python in it.
 #[cfg(feature = "python")]
 mod python;
-pub mod registration;
 
 pub use cloud::{Cloud, Point};
 pub use config::Config;
