@@ -9,6 +9,7 @@
 
 use crate::cloud::{Point, distance_sq};
 use crate::error::Result;
+use crate::near_field::NearField;
 use crate::neighbors::{Neighbor, NeighborIndex};
 use crate::normals::{self, Surface};
 use crate::point_to_plane::PlaneSums;
@@ -144,21 +145,49 @@ impl Tolerance {
     }
 }
 
+/// Who finds partners: the index of a cloud exactly, its near field about twenty times faster.
+pub trait FindsPartner {
+    /// A point of the cloud at most `max_sq` from `place`, squared; a near one, if not the nearest.
+    fn partner(&self, place: &Point, max_sq: f64) -> Option<usize>;
+}
+
+impl FindsPartner for NeighborIndex {
+    #[inline]
+    fn partner(&self, place: &Point, max_sq: f64) -> Option<usize> {
+        Some(self.nearest_within(place, max_sq)?.index as usize)
+    }
+}
+
+impl FindsPartner for NearField {
+    #[inline]
+    fn partner(&self, place: &Point, max_sq: f64) -> Option<usize> {
+        let (partner, distance_sq) = self.nearest(place)?;
+        (distance_sq <= max_sq).then_some(partner)
+    }
+}
+
 /// Counts partners at `pose` (fixed from moving).
-pub fn agreement(
-    moving: &Witnesses<'_>,
-    fixed: &Witnesses<'_>,
+pub fn agreement<P: FindsPartner>(
+    moving: (&Witnesses<'_>, &P),
+    fixed: (&Witnesses<'_>, &P),
     pose: &Rigid,
     tolerance: Tolerance,
 ) -> Agreement {
     let mut forth = Count::default();
-    each_partner(moving, fixed.cloud, pose, tolerance, |i, _| {
-        forth.add(moving.weights[i])
+    each_partner(moving.0, fixed.0.cloud, fixed.1, pose, tolerance, |i, _| {
+        forth.add(moving.0.weights[i])
     });
     let mut back = Count::default();
-    each_partner(fixed, moving.cloud, &pose.inverse(), tolerance, |i, _| {
-        back.add(fixed.weights[i])
-    });
+    let inverse = pose.inverse();
+    each_partner(
+        fixed.0,
+        moving.0.cloud,
+        moving.1,
+        &inverse,
+        tolerance,
+        |i, _| back.add(fixed.0.weights[i]),
+    );
+    let (moving, fixed) = (moving.0, fixed.0);
     let smaller = if moving.len() <= fixed.len() {
         moving
     } else {
@@ -176,9 +205,9 @@ pub fn agreement(
 
 /// Distance from the partners' planes that the clouds keep at `pose`: three times its robust
 /// standard deviation over the witnesses of `moving` that find a partner; 0 where none does.
-pub fn off_plane_noise_m(
+pub fn off_plane_noise_m<P: FindsPartner>(
     moving: &Witnesses<'_>,
-    fixed: &Witnesses<'_>,
+    fixed: (&Witnesses<'_>, &P),
     pose: &Rigid,
     max_distance_m: f64,
 ) -> f64 {
@@ -186,9 +215,14 @@ pub fn off_plane_noise_m(
     const MEDIAN_TO_DEVIATION: f64 = 1.4826;
     let mut found = Vec::new();
     let tolerance = Tolerance::within(max_distance_m);
-    each_partner(moving, fixed.cloud, pose, tolerance, |_, off_plane| {
-        found.push(off_plane)
-    });
+    each_partner(
+        moving,
+        fixed.0.cloud,
+        fixed.1,
+        pose,
+        tolerance,
+        |_, off_plane| found.push(off_plane),
+    );
     if found.is_empty() {
         return 0.0;
     }
@@ -211,9 +245,10 @@ impl Count {
 
 /// Calls `visit` with every witness of `from` that has a partner with an agreeing normal in `to`,
 /// and how far it lies from the partner's plane.
-fn each_partner(
+fn each_partner<P: FindsPartner>(
     from: &Witnesses<'_>,
     to: &SurfaceCloud,
+    finder: &P,
     to_from: &Rigid,
     tolerance: Tolerance,
     mut visit: impl FnMut(usize, f64),
@@ -226,12 +261,12 @@ fn each_partner(
         if !to.is_near_box(&moved, tolerance.distance_m) {
             continue;
         }
-        let Some(partner) = to.index.nearest_within(&moved, max_sq) else {
+        let Some(partner) = finder.partner(&moved, max_sq) else {
             continue;
         };
         let own = to_from.rotate(&from.cloud.surfaces[i].normal);
-        let normal = &to.surfaces[partner.index as usize].normal;
-        let place = &to.points()[partner.index as usize];
+        let normal = &to.surfaces[partner].normal;
+        let place = &to.points()[partner];
         let cosine: f64 = (0..3).map(|axis| own[axis] * normal[axis]).sum();
         let off_plane: f64 = (0..3)
             .map(|axis| (moved[axis] - place[axis]) * normal[axis])

@@ -13,6 +13,7 @@ pub mod rigid;
 // Floor 1: tools.
 pub mod distance_field;
 pub mod kabsch;
+pub mod near_field;
 pub mod neighbors;
 pub mod normals;
 pub mod optim;

@@ -166,7 +166,14 @@ fn route(
 
     log.begin(Stage::Verdict, n_source, n_target)?;
     let tolerance = Tolerance::within(max_distance_m);
-    let agreed = |pose: &Rigid| agreement(&source_witnesses, &target_witnesses, pose, tolerance);
+    let agreed = |pose: &Rigid| {
+        agreement(
+            (&source_witnesses, &source_surface.index),
+            (&target_witnesses, &target_surface.index),
+            pose,
+            tolerance,
+        )
+    };
     let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source));
     // Robust mode keeps ICP's pose only where it is no worse; the paper always takes it.
     let (pose, agreed) = if config.mode == Mode::Paper || after.score >= before.score {

@@ -3,7 +3,7 @@
 use crate::cloud::Point;
 use crate::distance_field::NearestGrid;
 use crate::kabsch::PairSums;
-use crate::neighbors::NeighborIndex;
+use crate::near_field::NearField;
 use crate::normals::Surface;
 use crate::point_to_plane::PlaneSums;
 use crate::rigid::Rigid;
@@ -74,17 +74,18 @@ pub(super) fn to_planes_on_grid(
     })
 }
 
-/// Point-to-plane steps along the moving cloud's own normals, exact partners.
-pub(super) fn to_planes_exactly(
+/// The same with partners from the near field, and from the grid where there is nobody near.
+pub(super) fn to_planes_nearby(
     points: &[Point],
     surfaces: &[Surface],
-    fixed: &NeighborIndex,
+    field: &NearField,
+    grid: &NearestGrid,
     start: Rigid,
     truncation: Shrinking,
 ) -> Rigid {
     to_planes(points, surfaces, start, truncation, |moved, max_sq| {
-        let partner = fixed.nearest_within(moved, max_sq)?;
-        Some(fixed.points()[partner.index as usize])
+        let (partner, distance_sq) = field.nearest(moved).unwrap_or_else(|| grid.nearest(moved));
+        (distance_sq < max_sq).then(|| grid.points()[partner])
     })
 }
 

@@ -15,6 +15,7 @@ use crate::cloud::Point;
 use crate::distance_field::NearestGrid;
 use crate::error::{Error, Result, require_count, require_positive};
 use crate::fitness::{Agreement, Tolerance, Witnesses, agreement, off_plane_noise_m};
+use crate::near_field::NearField;
 use crate::parallel;
 use crate::progress::{Event, Progress, Stage};
 use crate::random::Stream;
@@ -61,6 +62,10 @@ impl RobustSearchOptions {
 const CELL: f64 = 1.0 / 64.0;
 const GRID_MARGIN: f64 = 0.15;
 const MAX_CELLS: usize = 2_000_000;
+/// The near field: as fine as the voxels, and far enough for verification.
+const FINE_CELL: f64 = 1.0 / 250.0;
+const REACH_OF_FIELD: f64 = 0.0125;
+const MAX_BLOCKS: usize = 4_000_000;
 
 /// Points of the moving cloud that take part in the first descent, the second, the refinement on
 /// the grid and the last one.
@@ -193,6 +198,8 @@ struct Search<'a> {
     witnesses: [&'a Witnesses<'a>; 2],
     moving_grid: NearestGrid,
     fixed_grid: NearestGrid,
+    /// Close to the moving cloud and close to the fixed one.
+    fields: [NearField; 2],
     unit_m: f64,
     seed: u64,
     verified: Vec<Verified>,
@@ -221,12 +228,24 @@ impl<'a> Search<'a> {
                 reason: "a cloud without points has no pose".into(),
             })
         };
+        let field = |cloud: &SurfaceCloud| {
+            NearField::new(
+                cloud.points(),
+                FINE_CELL * unit_m,
+                REACH_OF_FIELD * unit_m,
+                MAX_BLOCKS,
+            )
+            .ok_or_else(|| Error::NoSolution {
+                reason: "a cloud without points has no pose".into(),
+            })
+        };
         Ok(Self {
             moving,
             fixed,
             witnesses,
             moving_grid: grid(moving)?,
             fixed_grid: grid(fixed)?,
+            fields: [field(moving)?, field(fixed)?],
             unit_m,
             seed,
             verified: Vec::new(),
@@ -388,10 +407,11 @@ impl<'a> Search<'a> {
             let points = self.moving.sample(N_FINISHED);
             let finished = parallel::map(leaders.len(), |i| {
                 progress.check()?;
-                let pose = descent::to_planes_exactly(
+                let pose = descent::to_planes_nearby(
                     points,
                     &self.moving.surfaces,
-                    &self.fixed.index,
+                    &self.fields[1],
+                    &self.fixed_grid,
                     leaders[i],
                     REFINE_EXACTLY.times(self.unit_m),
                 );
@@ -445,7 +465,12 @@ impl<'a> Search<'a> {
     }
 
     fn agreement(&self, pose: &Rigid, tolerance: Tolerance) -> Agreement {
-        agreement(self.witnesses[0], self.witnesses[1], pose, tolerance)
+        agreement(
+            (self.witnesses[0], &self.fields[0]),
+            (self.witnesses[1], &self.fields[1]),
+            pose,
+            tolerance,
+        )
     }
 
     /// Score of the best pose by that of its best rival, both at the accuracy that the clouds show
@@ -456,7 +481,7 @@ impl<'a> Search<'a> {
         };
         let distance_m = VERIFY_DISTANCE * self.unit_m;
         let [moving, fixed] = self.witnesses;
-        let noise_m = off_plane_noise_m(moving, fixed, &best.pose, distance_m);
+        let noise_m = off_plane_noise_m(moving, (fixed, &self.fields[1]), &best.pose, distance_m);
         let off_plane_m = noise_m.clamp(LEAST_OFF_PLANE * self.unit_m, distance_m);
         let tolerance = Tolerance {
             distance_m,

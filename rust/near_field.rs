@@ -1,0 +1,262 @@
+//! A fine grid close to a cloud: which point is nearest, a few nanoseconds a question.
+//!
+//! Why: poses are verified by asking for partners tens of thousands of times each. A tree answers
+//! exactly in hundreds of nanoseconds; what is asked here, whether surface lies near and how it
+//! slopes, does not need the very nearest point.
+//! The answer is the point nearest to the *centre of the cell* of the query: at most two half
+//! diagonals of a cell farther than the nearest one.
+//! Memory: 16 bytes for each block of 8×8×8 cells in the box, 2 KiB for each block that was asked
+//! about and lies near points; blocks are filled when first asked, whoever asks first alike.
+//! Source: ours. The counterpart for the whole box, coarse and without a limit of distance, is
+//! [`NearestGrid`](crate::distance_field::NearestGrid).
+
+use std::sync::OnceLock;
+
+use crate::cloud::{Point, bounds, distance_sq};
+
+const NOBODY: u32 = u32::MAX;
+/// Cells along the edge of a block.
+const EDGE: usize = 8;
+const CELLS: usize = EDGE * EDGE * EDGE;
+/// A cell whose centre is this many cells from a point may still hold a query at the reach.
+const HALF_DIAGONAL: f64 = 0.867;
+
+type Block = Option<Box<[u32; CELLS]>>;
+
+/// Nearest points within a short reach of a cloud.
+///
+/// ```
+/// use tmchho::near_field::NearField;
+/// let field = NearField::new(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], 0.05, 0.2, 1_000_000).unwrap();
+/// let (nearest, distance_sq) = field.nearest(&[0.9, 0.1, 0.0]).unwrap();
+/// assert_eq!(nearest, 1);
+/// assert!((distance_sq - 0.02).abs() < 1e-12);
+/// assert!(field.nearest(&[0.5, 0.0, 0.0]).is_none());
+/// ```
+#[derive(Debug)]
+pub struct NearField {
+    low: Point,
+    cells_per_m: f64,
+    reach_cells: f64,
+    n_blocks: [usize; 3],
+    blocks: Vec<OnceLock<Block>>,
+    /// Points by block: those of block b are `members[starts[b]..starts[b + 1]]`.
+    starts: Vec<u32>,
+    members: Vec<u32>,
+    points: Vec<Point>,
+}
+
+impl NearField {
+    /// Cells of edge `cell_m` that answer for queries up to `reach_m` from a point; both grow where
+    /// there would be more than `max_blocks` blocks. The reach is held to 7 cells. `None` for no
+    /// points.
+    pub fn new(points: &[Point], cell_m: f64, reach_m: f64, max_blocks: usize) -> Option<Self> {
+        if points.is_empty() {
+            return None;
+        }
+        let (low, high) = bounds(points);
+        let mut cell_m = cell_m;
+        let (margin_m, n_blocks) = loop {
+            let block_m = EDGE as f64 * cell_m;
+            let margin_m = reach_m.max(cell_m);
+            let n_blocks: [usize; 3] = std::array::from_fn(|axis| {
+                ((high[axis] - low[axis] + 2.0 * margin_m) / block_m) as usize + 1
+            });
+            let n = n_blocks.iter().map(|n| *n as f64).product::<f64>();
+            if n <= max_blocks.max(1) as f64 {
+                break (margin_m, n_blocks);
+            }
+            cell_m *= (n / max_blocks.max(1) as f64).cbrt().max(1.01);
+        };
+        let mut field = Self {
+            low: low.map(|v| v - margin_m),
+            cells_per_m: 1.0 / cell_m,
+            reach_cells: (margin_m / cell_m).min(EDGE as f64 - 1.0) + HALF_DIAGONAL,
+            n_blocks,
+            blocks: Vec::new(),
+            starts: Vec::new(),
+            members: Vec::new(),
+            points: points.to_vec(),
+        };
+        let n = n_blocks.iter().product();
+        field.blocks.resize_with(n, OnceLock::new);
+        field.sort_into_blocks(n);
+        Some(field)
+    }
+
+    /// The points that the field answers with.
+    pub fn points(&self) -> &[Point] {
+        &self.points
+    }
+
+    /// A point near `query` and its squared distance; `None` beyond the reach of all points.
+    #[inline]
+    pub fn nearest(&self, query: &Point) -> Option<(usize, f64)> {
+        let mut block = 0;
+        let mut cell = 0;
+        for axis in (0..3).rev() {
+            let at = (query[axis] - self.low[axis]) * self.cells_per_m;
+            // Also false for NaN.
+            if !(at >= 0.0 && at < (self.n_blocks[axis] * EDGE) as f64) {
+                return None;
+            }
+            let at = at as usize;
+            block = block * self.n_blocks[axis] + at / EDGE;
+            cell = cell * EDGE + at % EDGE;
+        }
+        let nearest = self.blocks[block]
+            .get_or_init(|| self.fill(block))
+            .as_ref()?[cell];
+        if nearest == NOBODY {
+            return None;
+        }
+        let nearest = nearest as usize;
+        Some((nearest, distance_sq(query, &self.points[nearest])))
+    }
+
+    fn in_cells(&self, p: &Point) -> Point {
+        std::array::from_fn(|axis| (p[axis] - self.low[axis]) * self.cells_per_m)
+    }
+
+    fn sort_into_blocks(&mut self, n_blocks: usize) {
+        let block_of = |p: &Point| {
+            let at = self.in_cells(p);
+            (0..3).rev().fold(0, |block, axis| {
+                let i = (at[axis] as usize / EDGE).min(self.n_blocks[axis] - 1);
+                block * self.n_blocks[axis] + i
+            })
+        };
+        let of_point: Vec<u32> = self.points.iter().map(|p| block_of(p) as u32).collect();
+        let mut starts = vec![0_u32; n_blocks + 1];
+        for block in &of_point {
+            starts[*block as usize + 1] += 1;
+        }
+        for block in 0..n_blocks {
+            starts[block + 1] += starts[block];
+        }
+        let mut next = starts.clone();
+        let mut members = vec![0_u32; self.points.len()];
+        for (i, block) in (0_u32..).zip(&of_point) {
+            members[next[*block as usize] as usize] = i;
+            next[*block as usize] += 1;
+        }
+        (self.starts, self.members) = (starts, members);
+    }
+
+    /// The nearest point to the centre of every cell of a block.
+    fn fill(&self, block: usize) -> Block {
+        let [nx, ny, _] = self.n_blocks;
+        let at = [block % nx, block / nx % ny, block / nx / ny];
+        let range =
+            |axis: usize| at[axis].saturating_sub(1)..(at[axis] + 2).min(self.n_blocks[axis]);
+        let corner: Point = at.map(|i| (i * EDGE) as f64);
+        let reach_sq = self.reach_cells * self.reach_cells;
+        let mut best_sq = [reach_sq; CELLS];
+        let mut nearest = [NOBODY; CELLS];
+        for (z, y) in range(2).flat_map(|z| range(1).map(move |y| (z, y))) {
+            let row = (z * ny + y) * nx;
+            let xs = range(0);
+            let (first, last) = (row + xs.start, row + xs.end);
+            for &i in &self.members[self.starts[first] as usize..self.starts[last] as usize] {
+                let p = self.in_cells(&self.points[i as usize]);
+                // Relative to the centre of the first cell of the block.
+                let p: Point = std::array::from_fn(|axis| p[axis] - corner[axis] - 0.5);
+                stamp(&p, i, self.reach_cells, &mut best_sq, &mut nearest);
+            }
+        }
+        nearest
+            .iter()
+            .any(|i| *i != NOBODY)
+            .then(|| Box::new(nearest))
+    }
+}
+
+/// Enters a point into every cell of a block that it is nearer to than those before it.
+fn stamp(p: &Point, i: u32, reach: f64, best_sq: &mut [f64; CELLS], nearest: &mut [u32; CELLS]) {
+    let span = |axis: usize, reach: f64| {
+        let low = (p[axis] - reach).ceil().max(0.0);
+        let high = (p[axis] + reach).floor().min(EDGE as f64 - 1.0);
+        // Empty where high is below low: a cast of a negative number gives 0.
+        low as usize..(high + 1.0) as usize
+    };
+    let reach_sq = reach * reach;
+    for z in span(2, reach) {
+        let dz_sq = (p[2] - z as f64).powi(2);
+        for y in span(1, (reach_sq - dz_sq).max(0.0).sqrt()) {
+            let dyz_sq = dz_sq + (p[1] - y as f64).powi(2);
+            for x in span(0, (reach_sq - dyz_sq).max(0.0).sqrt()) {
+                let distance_sq = dyz_sq + (p[0] - x as f64).powi(2);
+                let cell = (z * EDGE + y) * EDGE + x;
+                if distance_sq < best_sq[cell] {
+                    best_sq[cell] = distance_sq;
+                    nearest[cell] = i;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::parallel;
+    use crate::random::Stream;
+
+    fn some_points(n: usize, stream: &mut Stream) -> Vec<Point> {
+        (0..n)
+            .map(|_| std::array::from_fn(|axis| stream.uniform() * [1.0, 2.0, 0.3][axis]))
+            .collect()
+    }
+
+    #[test]
+    fn answers_are_as_near_as_promised_and_given_wherever_promised() {
+        let (cell_m, reach_m) = (0.02, 0.07);
+        let mut stream = Stream::new(1, "near field", 0);
+        let points = some_points(300, &mut stream);
+        let field = NearField::new(&points, cell_m, reach_m, 1_000_000).unwrap();
+        let slack_m = 2.0 * HALF_DIAGONAL * cell_m;
+        let mut n_answered = 0;
+        for query in some_points(20_000, &mut stream) {
+            let query = query.map(|v| 1.2 * v - 0.1);
+            let exact = points
+                .iter()
+                .map(|p| distance_sq(p, &query).sqrt())
+                .fold(f64::INFINITY, f64::min);
+            match field.nearest(&query) {
+                Some((i, found_sq)) => {
+                    n_answered += 1;
+                    assert_eq!(found_sq, distance_sq(&points[i], &query));
+                    assert!(found_sq.sqrt() <= exact + slack_m);
+                }
+                None => assert!(exact > reach_m, "{exact}"),
+            }
+        }
+        assert!((4000..18_000).contains(&n_answered), "{n_answered}");
+    }
+
+    #[test]
+    fn the_same_answers_whoever_fills_the_blocks() {
+        let mut stream = Stream::new(2, "near field", 0);
+        let points = some_points(2000, &mut stream);
+        let queries = some_points(20_000, &mut stream);
+        let ask = |n_threads| {
+            parallel::with_threads(Some(n_threads), || {
+                let field = NearField::new(&points, 0.01, 0.03, 1_000_000).unwrap();
+                Ok(parallel::map(queries.len(), |i| field.nearest(&queries[i])))
+            })
+            .unwrap()
+        };
+        assert_eq!(ask(1), ask(4));
+    }
+
+    #[test]
+    fn memory_is_bounded_and_odd_queries_are_answered() {
+        let points = [[0.0; 3], [1e6, 1e6, 1e6]];
+        let field = NearField::new(&points, 1e-3, 1e-2, 1000).unwrap();
+        assert!(field.blocks.len() <= 1000);
+        assert_eq!(field.nearest(&[1e6, 1e6, 1e6]), Some((1, 0.0)));
+        assert!(field.nearest(&[f64::NAN, 0.0, 0.0]).is_none());
+        assert!(field.nearest(&[-1e9, 0.0, 0.0]).is_none());
+        assert!(NearField::new(&[], 0.1, 0.1, 8).is_none());
+    }
+}
