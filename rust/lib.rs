@@ -5,10 +5,12 @@
 // Floor 0: words.
 pub mod cloud;
 pub mod error;
+pub mod freedom;
 pub(crate) mod parallel;
 pub mod progress;
 pub mod random;
 pub mod rigid;
+pub mod similarity;
 
 // Floor 1: tools.
 pub mod distance_field;
