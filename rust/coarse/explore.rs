@@ -33,7 +33,7 @@ const SECOND: Shrinking = Shrinking {
 };
 
 /// Truncation of the cost that ranks the first descents, and the second ones.
-const FIRST_TRUNCATION: f64 = 0.06;
+const FIRST_TRUNCATION: f64 = 0.04;
 const SECOND_TRUNCATION: f64 = 0.02;
 
 /// Poses closer than this to a better one are the same basin.

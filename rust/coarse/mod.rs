@@ -9,6 +9,7 @@
 mod deadline;
 mod descent;
 mod explore;
+mod hypotheses;
 mod options;
 mod paper;
 mod robust;

@@ -7,6 +7,7 @@
 //! Source: ours; measured in docs/robust_search.md.
 
 use super::explore::Explorer;
+use super::hypotheses;
 use super::verify::Verifier;
 use super::{Candidate, CoarseResult, Deadline, RobustSearchOptions, starts};
 use crate::error::{Error, Result, require_positive};
@@ -27,6 +28,10 @@ const REACH: f64 = 0.4;
 const JITTER: f64 = 0.05;
 /// Points of the fixed cloud from which places are derived.
 const N_PLACES_FROM: usize = 4000;
+
+/// The round in which descriptors propose poses, and which share of those looked at they are.
+const DESCRIPTORS_IN_ROUND: usize = 1;
+const PROPOSED: usize = 4;
 
 /// The first round looks at this share of the poses of the others.
 const FIRST_ROUND: usize = 4;
@@ -133,6 +138,26 @@ pub fn search_robust(
             true => options.n_verified.div_ceil(FIRST_ROUND),
             false => options.n_verified,
         });
+        if round == DESCRIPTORS_IN_ROUND.min(options.rotations_per_round.len() - 1)
+            && options.descriptors
+        {
+            let (moving, fixed) = (&moving.cloud, &fixed.cloud);
+            let proposed = hypotheses::propose(moving, fixed, unit_m, problem.freedom, progress)?;
+            if std::env::var("HYP").is_ok() {
+                eprintln!(
+                    "hyp {} {:?}",
+                    proposed.len(),
+                    proposed
+                        .iter()
+                        .take(8)
+                        .map(|h| h.consensus)
+                        .collect::<Vec<_>>()
+                );
+            }
+            basins.truncate(options.n_verified - options.n_verified / PROPOSED);
+            let best = proposed.iter().take(options.n_verified / PROPOSED);
+            basins.extend(best.map(|hypothesis| hypothesis.pose));
+        }
         let n_certain = given.len();
         let mut poses = std::mem::take(&mut given);
         poses.append(&mut basins);
