@@ -17,6 +17,7 @@ pub mod distance_field;
 pub mod kabsch;
 pub mod neighbors;
 pub mod normals;
+pub mod observations;
 pub mod optim;
 pub mod point_to_plane;
 pub mod spacing;
