@@ -22,6 +22,7 @@ pub mod optim;
 pub mod point_to_plane;
 pub mod spacing;
 pub mod surface_cloud;
+pub mod uncertainty;
 
 // Floor 2: stages, in the order of the data.
 pub mod coarse;

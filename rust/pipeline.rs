@@ -8,10 +8,12 @@ use crate::config::{Config, Mode};
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
 use crate::fitness::{Tolerance, Witnesses, agreement, support};
+use crate::freedom::Freedom;
 use crate::fuse::{FuseOptions, FusedCloud, fuse};
-use crate::icp::{IcpResult, IcpStop, icp};
+use crate::icp::{Clouds, IcpResult, IcpStop, icp};
 use crate::keypoints::{self, RADIUS_IN_VOXELS};
 use crate::neighbors::NeighborIndex;
+use crate::observations::LocalObservations;
 use crate::outlier::remove_outliers;
 use crate::parallel;
 use crate::progress::{Event, Progress, Stage};
@@ -167,10 +169,10 @@ fn route(
     log.begin(Stage::Verdict, n_source, n_target)?;
     let tolerance = Tolerance::within(max_distance_m);
     let agreed = |pose: &Rigid| agreement(&source_witnesses, &target_witnesses, pose, tolerance);
-    let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source));
+    let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source.rigid));
     // Robust mode keeps ICP's pose only where it is no worse; the paper always takes it.
     let (pose, agreed) = if config.mode == Mode::Paper || after.score >= before.score {
-        (fine.target_from_source, after)
+        (fine.target_from_source.rigid, after)
     } else {
         (coarse_pose, before)
     };
@@ -249,8 +251,21 @@ fn refine(
     config: &Config,
     progress: &Progress<'_>,
 ) -> Result<IcpResult> {
-    let (points, index, surfaces) = (source.points(), &target.index, &target.surfaces);
-    icp(points, index, surfaces, coarse_pose, &config.icp, progress)
+    let clouds = Clouds {
+        source: source.points(),
+        source_surfaces: &source.surfaces,
+        target: &target.index,
+        target_surfaces: &target.surfaces,
+    };
+    let (start, known) = ((*coarse_pose).into(), LocalObservations::default());
+    icp(
+        &clouds,
+        &start,
+        Freedom::Rigid,
+        &known,
+        &config.icp,
+        progress,
+    )
 }
 
 /// Cloud-to-cloud distances of two clouds at a pose: from every point to the nearest of the other.
