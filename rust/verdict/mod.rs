@@ -79,7 +79,7 @@ impl Default for VerdictOptions {
             accept_ambiguity_ratio: 1.45,
             accept_share_times_ratio: 0.75,
             accept_strength: 0.003,
-            accept_lead_over_chance: 1.5,
+            accept_lead_over_chance: 1.2,
             accept_held_out_ratio: 1.5,
             accept_misfit: 1.3,
             accept_deviation_from_known: 3.0,
