@@ -55,6 +55,12 @@ pub(super) fn influence(residual_sq: f64, limit_sq: f64) -> f64 {
     rest * rest
 }
 
+/// How the pull of a pair, influence · residual, grows with its residual.
+fn stiffness(residual_sq: f64, limit_sq: f64) -> f64 {
+    let rest = (1.0 - residual_sq / limit_sq).max(0.0);
+    rest * (1.0 - 5.0 * residual_sq / limit_sq)
+}
+
 /// What a pass reads.
 pub(super) struct Pass<'a> {
     pub(super) clouds: &'a Clouds<'a>,
@@ -173,6 +179,7 @@ impl Pass<'_> {
                         normal,
                         residual_m,
                         weight,
+                        stiffness: stiffness(residual_m * residual_m, limit_sq),
                         slope_variance,
                     });
                 }

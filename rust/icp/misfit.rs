@@ -25,7 +25,8 @@ pub(super) struct CommonPlane {
 fn slope_variance(surface: &Surface) -> f64 {
     /// Points that lie on a plane exactly are not free of error.
     const LEAST: f64 = 1e-6;
-    (thickness(surface) / N_NORMAL_NEIGHBORS as f64).max(LEAST)
+    // The plane has taken three degrees of freedom out of the scatter.
+    (thickness(surface) / (N_NORMAL_NEIGHBORS - 3) as f64).max(LEAST)
 }
 
 /// Variance across the surface by the mean variance along it.
