@@ -170,11 +170,12 @@ impl Fit {
     fn of(pairs: &[PlanePair], freedom: Freedom) -> Option<Self> {
         let mut sums = [ScaledPlaneSums::default(); 3];
         let (mut squared, mut weight, mut pull) = (0.0, 0.0, Vector7::zeros());
+        let usual_variance = median_slope_variance(pairs);
         for pair in pairs {
             let (p, n) = (&pair.point, &pair.normal);
             sums[0].add(p, p, n, pair.stiffness);
             pull -= row_of(p, n) * (pair.weight * pair.residual_m);
-            let noise = pair.stiffness * pair.slope_variance;
+            let noise = pair.stiffness * pair.slope_variance.max(usual_variance);
             let across = |r: usize, c: usize| noise * (f64::from(u8::from(r == c)) - n[r] * n[c]);
             let across =
                 [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)].map(|(r, c)| across(r, c));
@@ -249,7 +250,7 @@ impl Fit {
     /// The principal directions of what holds the pose.
     fn directions(&self, known: &Matrix7) -> Vec<Direction> {
         /// A direction is open if less than this share of its information is real.
-        const LEAST_REAL: f64 = 0.25;
+        const LEAST_REAL: f64 = 0.5;
         let all = self.scaled(&(self.information + known));
         let real = SymmetricEigen::new(all - self.scaled(&self.of_noise));
         let least = 1e-12 * all.trace();
@@ -295,6 +296,16 @@ impl Fit {
 struct Direction {
     along: Vector7,
     held: Option<f64>,
+}
+
+/// Points that scatter little by chance claim good normals, but have the same as their like.
+fn median_slope_variance(pairs: &[PlanePair]) -> f64 {
+    let mut variances: Vec<f64> = pairs.iter().map(|pair| pair.slope_variance).collect();
+    let middle = variances.len() / 2;
+    if variances.is_empty() {
+        return 0.0;
+    }
+    *variances.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 fn row_of(point: &Point, normal: &Point) -> Vector7 {

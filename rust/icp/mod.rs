@@ -41,7 +41,7 @@ use serde::{Deserialize, Serialize};
 const TUKEY: f64 = 4.685;
 
 /// How much firmer than by all planes together an open motion is held.
-const FIRM: f64 = 1e6;
+const FIRM: f64 = 1e3;
 
 /// What ICP reads of the two clouds.
 #[derive(Debug, Clone, Copy)]
@@ -260,6 +260,10 @@ impl Refinement<'_> {
         if self.method == IcpMethod::PointToPoint && is_plain && self.known.is_empty() {
             return Ok(self.step_in_closed_form(pose));
         }
+        if !is_plain && self.limit_sq.is_infinite() {
+            let first = self.pass(pose).gather(progress)?;
+            self.limit_sq = TUKEY * TUKEY * first.variance(self.method);
+        }
         let pass = self.pass(pose);
         let gathered = pass.gather(progress)?;
         let (middle, mut sums) = (self.middle, gathered.sums);
@@ -274,8 +278,11 @@ impl Refinement<'_> {
                 .unwrap_or_else(|| gathered.mean_squared());
             self.known.add_to(&mut sums, pose, &middle, variance);
         }
+        // Open motions are in units of arcs, like shifts.
+        let information = sums.information();
+        let firm = FIRM * (3..6).map(|axis| information[(axis, axis)]).sum::<f64>();
         for row in &self.open {
-            sums.add_row(row, 0.0, FIRM * sums.information().trace());
+            sums.add_row(row, 0.0, firm);
         }
         if !is_plain {
             self.limit_sq = TUKEY * TUKEY * gathered.variance(self.method);
@@ -365,14 +372,11 @@ impl Refinement<'_> {
             return None;
         }
         let cell_m = self.cell_m(rmse_m);
-        let of_planes = self.method == IcpMethod::PointToPlane;
-        let limit_sq = if of_planes {
-            self.limit_sq
-        } else {
-            f64::INFINITY
+        let (method, limit_sq) = match self.method {
+            IcpMethod::PointToPoint => (IcpMethod::PointToPlane, f64::INFINITY),
+            method => (method, self.limit_sq),
         };
-        let pass = self.pass(pose);
-        let rows = pass.rows(IcpMethod::PointToPlane, limit_sq);
+        let rows = self.pass(pose).rows(method, limit_sq);
         PoseUncertainty::of_pairs(&rows, self.middle, self.freedom, &self.others(pose), cell_m)
     }
 }
