@@ -358,7 +358,7 @@ mod tests {
         let pair = |i: usize| {
             let mut point = [0; 3].map(|_| stream.uniform_between(-5.0, 5.0));
             let mut normal = [0.0; 3];
-            (point[i % 3], normal[i % 3]) = (if i % 2 == 0 { -5.0 } else { 5.0 }, 1.0);
+            (point[i % 3], normal[i % 3]) = (if i.is_multiple_of(2) { -5.0 } else { 5.0 }, 1.0);
             // A smooth random field with the standard deviation of the noise.
             let wave = |(w, phase): (&Point, &f64)| {
                 (w[0] * point[0] + w[1] * point[1] + w[2] * point[2] + phase).sin()
