@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes import field, moved
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from scenes import field, moved
 
 import tmchho
 from tmchho import ControlPoint, PosePrior, errors
