@@ -165,10 +165,10 @@ fn route(
     // Robust mode keeps ICP's pose only where it is no worse, or where it heeds what is known; the
     // paper always takes it.
     let takes_fine = config.mode == Mode::Paper || !known.is_empty();
-    let (pose, agreed) = if takes_fine || after.score >= LEAST_KEPT * before.score {
-        (fine.target_from_source, after)
+    let (pose, agreed, uncertainty) = if takes_fine || after.score >= LEAST_KEPT * before.score {
+        (fine.target_from_source, after, fine.uncertainty)
     } else {
-        (coarse_pose, before)
+        (coarse_pose, before, None)
     };
     let support = fitness::support(source_surface, target_surface, &pose, max_distance_m);
     let support_back = fitness::support(
@@ -183,7 +183,7 @@ fn route(
         support.planes.weight(),
         support.radius_m,
     );
-    let weakest_error = fine.uncertainty.as_ref().map_or(f64::NAN, |uncertainty| {
+    let weakest_error = uncertainty.as_ref().map_or(f64::NAN, |uncertainty| {
         let rigid = uncertainty.covariance.fixed_view::<6, 6>(0, 0);
         strength.standard_error(&rigid.into_owned())
     });
@@ -257,7 +257,7 @@ fn route(
         held_out_ratio: held_out,
         misfit: agreed.misfit,
         ended_early: found.ended_early,
-        uncertainty: fine.uncertainty,
+        uncertainty,
         n_evaluations: found.n_evaluations,
         history: found.history,
         icp_stop: fine.stop_reason,
