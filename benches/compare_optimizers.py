@@ -41,7 +41,7 @@ FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "f1": lambda x: (x * x).sum(axis=-1),
     "f5": lambda x: (x * x - 10 * np.cos(2 * np.pi * x) + 10).sum(axis=-1),
 }
-DEAR_DIMENSION = 400
+DEAR_DIMENSION = 800
 
 Run = Callable[[int], int]
 """Takes a seed, searches, and returns how often the function was called."""
@@ -135,7 +135,7 @@ def two_threads(repeats: int) -> dict[str, dict[str, float]]:
             for n_threads, of_threads in times.items():
                 begun = time.perf_counter()
                 found.append(
-                    tmchho.minimize(problem, method=method, n_iterations=20, seed=seed, n_threads=n_threads)
+                    tmchho.minimize(problem, method=method, n_iterations=10, seed=seed, n_threads=n_threads)
                 )
                 of_threads.append(time.perf_counter() - begun)
             assert found[0].x.tobytes() == found[1].x.tobytes(), "the same bits by one thread and by two"
@@ -183,7 +183,7 @@ def main() -> None:
                 f"| {library} | {it['run_ms']:.1f} | {it['calls']:.0f} | {it['call_us']:.2f} | "
                 f"{' | '.join(ratios)} |"
             )
-    print(f"\nturned f5, D = {DEAR_DIMENSION}, 30 members, 20 iterations\n")
+    print(f"\nturned f5, D = {DEAR_DIMENSION}, 30 members, 10 iterations\n")
     print("| | 1 thread, ms | 2 threads, ms | gain |")
     print("|---|---|---|---|")
     for method, it in gains.items():
