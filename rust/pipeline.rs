@@ -165,7 +165,8 @@ fn route(
     // Robust mode keeps ICP's pose only where it is no worse, or where it heeds what is known; the
     // paper always takes it.
     let takes_fine = config.mode == Mode::Paper || !known.is_empty();
-    let (pose, agreed, uncertainty) = if takes_fine || after.score >= LEAST_KEPT * before.score {
+    let (pose, agreed, uncertainty) = if takes_fine || after.score() >= LEAST_KEPT * before.score()
+    {
         (fine.target_from_source, after, fine.uncertainty)
     } else {
         (coarse_pose, before, None)
@@ -317,9 +318,10 @@ fn held_out_ratio(prepared: &Prepared, pose: &Similarity, max_distance_m: f64) -
     let index = &prepared.target.cloud.index;
     let rms = |points: &[Point]| {
         let max_sq = max_distance_m * max_distance_m;
-        let found = points
-            .iter()
-            .filter_map(|p| index.nearest_within(&pose.apply(p), max_sq));
+        let found = parallel::map(points.len(), |i| {
+            index.nearest_within(&pose.apply(&points[i]), max_sq)
+        });
+        let found = found.into_iter().flatten();
         let (n, sum) = found.fold((0, 0.0), |(n, sum), pair| (n + 1, sum + pair.distance_sq));
         (n >= LEAST_PAIRS).then(|| (sum / n as f64).sqrt())
     };

@@ -209,14 +209,14 @@ pub fn search_robust(
     let n_evaluations = n_explored + verifier.n_evaluations;
     let candidates: Vec<Candidate> = verifier
         .distinct()
-        .filter(|v| v.agreement.score > 0.0)
+        .filter(|v| v.agreement.score() > 0.0)
         .take(MAX_CANDIDATES)
         .map(|v| Candidate {
             target_from_source: match source_moves {
                 true => v.pose,
                 false => v.pose.inverse(),
             },
-            score: v.agreement.score,
+            score: v.agreement.score(),
             inlier_share: v.agreement.inlier_share,
         })
         .collect();
