@@ -5,8 +5,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::cloud::Point;
 use crate::coarse::{PaperSearchOptions, RobustSearchOptions};
 use crate::error::{Error, Result, require_count, require_positive};
+use crate::freedom::Freedom;
 use crate::fuse::FuseOptions;
 use crate::icp::{IcpMethod, IcpOptions};
 use crate::keypoints::{IssOptions, RADIUS_IN_VOXELS};
@@ -25,6 +27,9 @@ pub enum Mode {
     Paper,
 }
 
+/// Every doubling of the range costs four more searches.
+const MAX_SCALE_RANGE: f64 = 1e4;
+
 /// All settings of [`crate::pipeline::register`].
 ///
 /// ```
@@ -36,7 +41,7 @@ pub enum Mode {
 /// assert!(misspelt.to_string().contains("voxel_sise_m"));
 /// # Ok::<(), tmchho::Error>(())
 /// ```
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// Which search is run.
@@ -45,6 +50,16 @@ pub struct Config {
     pub seed: u64,
     /// Threads; `None` for the machine's. Never changes the result.
     pub n_threads: Option<usize>,
+    /// What may differ between the clouds (robust mode): 4, 6 or 7 degrees of freedom.
+    pub dof: Freedom,
+    /// Where the scale is sought with 7 degrees of freedom: by what the source may have to be
+    /// multiplied, least and most.
+    pub scale_bounds: [f64; 2],
+    /// Lower and upper corner of the box in which source points take part in finding the pose, as
+    /// given; `None` for all.
+    pub source_crop_m: Option<[Point; 2]>,
+    /// The same for the target.
+    pub target_crop_m: Option<[Point; 2]>,
     /// Stage 1, radius outlier removal.
     pub outliers: OutlierOptions,
     /// Stage 2, voxel centroids.
@@ -61,6 +76,28 @@ pub struct Config {
     pub verdict: VerdictOptions,
     /// Stage 8, fusion.
     pub fuse: FuseOptions,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            mode: Mode::default(),
+            seed: 0,
+            n_threads: None,
+            dof: Freedom::default(),
+            scale_bounds: [0.5, 2.0],
+            source_crop_m: None,
+            target_crop_m: None,
+            outliers: OutlierOptions::default(),
+            voxel: VoxelOptions::default(),
+            keypoints: IssOptions::default(),
+            coarse: RobustSearchOptions::default(),
+            paper: PaperSearchOptions::default(),
+            icp: IcpOptions::default(),
+            verdict: VerdictOptions::default(),
+            fuse: FuseOptions::default(),
+        }
+    }
 }
 
 impl Config {
@@ -90,6 +127,33 @@ impl Config {
     pub fn check(&self) -> Result<()> {
         if let Some(n_threads) = self.n_threads {
             require_count("n_threads", n_threads, 1, 1024)?;
+        }
+        if self.mode == Mode::Paper && self.dof != Freedom::Rigid {
+            return Err(Error::argument("dof", "must be 6 in paper mode"));
+        }
+        let [least, most] = self.scale_bounds;
+        if !(least > 0.0 && least <= most && most / least <= MAX_SCALE_RANGE) {
+            return Err(Error::argument(
+                "scale_bounds",
+                format!(
+                    "must be two rising numbers above 0, the second at most {MAX_SCALE_RANGE} times \
+                     the first, got {least} and {most}"
+                ),
+            ));
+        }
+        for (name, corners) in [
+            ("source_crop_m", &self.source_crop_m),
+            ("target_crop_m", &self.target_crop_m),
+        ] {
+            // Also refuses NaN.
+            let is_box = |[low, high]: &[Point; 2]| (0..3).all(|axis| low[axis] < high[axis]);
+            if !corners.as_ref().is_none_or(is_box) {
+                return Err(Error::argument(
+                    name,
+                    "must be a lower and an upper corner, each coordinate of the first below that of \
+                     the second",
+                ));
+            }
         }
         for (name, value) in [
             ("outliers.radius_m", self.outliers.radius_m),

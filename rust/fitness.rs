@@ -15,6 +15,7 @@ use crate::normals::{self, Surface};
 use crate::point_to_plane::PlaneSums;
 use crate::progress::Progress;
 use crate::rigid::Rigid;
+use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
 
 /// The RMS of Eq. (1): root mean squared distance from the moved source points to their nearest
@@ -53,14 +54,14 @@ pub fn rms_below(source: &[Point], target: &NeighborIndex, pose: &Rigid, limit: 
 /// Planes agree anywhere along themselves, so a point weighs by the curvature of the surface round
 /// it, looked at from far enough that noise does not count as shape.
 #[derive(Debug)]
-pub struct Witnesses<'a> {
+pub struct Witnesses {
     /// The cloud.
-    pub cloud: &'a SurfaceCloud,
+    pub cloud: SurfaceCloud,
     /// One weight for each of its first points.
     pub weights: Vec<f64>,
 }
 
-impl<'a> Witnesses<'a> {
+impl Witnesses {
     /// Witnesses of two clouds at one density: about `n` of the cloud with fewer points, and the
     /// same share of the other's. `radius_m` is how far a surface is looked at, `spacing_m` the
     /// distance of the clouds' points.
@@ -68,7 +69,7 @@ impl<'a> Witnesses<'a> {
     /// # Errors
     /// [`crate::Error::Cancelled`].
     pub fn of_both(
-        clouds: [&'a SurfaceCloud; 2],
+        clouds: [SurfaceCloud; 2],
         n: usize,
         radius_m: f64,
         spacing_m: f64,
@@ -78,7 +79,7 @@ impl<'a> Witnesses<'a> {
         let share = (n as f64 / n_smaller as f64).min(1.0);
         let [first, second] = clouds.map(|cloud| -> Result<Self> {
             let n = (cloud.len() as f64 * share).ceil() as usize;
-            let weights = curvature_weights(cloud, n, radius_m, spacing_m, progress)?;
+            let weights = curvature_weights(&cloud, n, radius_m, spacing_m, progress)?;
             Ok(Self { cloud, weights })
         });
         Ok([first?, second?])
@@ -168,20 +169,25 @@ impl FindsPartner for NearField {
 
 /// Counts partners at `pose` (fixed from moving).
 pub fn agreement<P: FindsPartner>(
-    moving: (&Witnesses<'_>, &P),
-    fixed: (&Witnesses<'_>, &P),
-    pose: &Rigid,
+    moving: (&Witnesses, &P),
+    fixed: (&Witnesses, &P),
+    pose: &Similarity,
     tolerance: Tolerance,
 ) -> Agreement {
     let mut forth = Count::default();
-    each_partner(moving.0, fixed.0.cloud, fixed.1, pose, tolerance, |i, _| {
-        forth.add(moving.0.weights[i])
-    });
+    each_partner(
+        moving.0,
+        &fixed.0.cloud,
+        fixed.1,
+        pose,
+        tolerance,
+        |i, _| forth.add(moving.0.weights[i]),
+    );
     let mut back = Count::default();
     let inverse = pose.inverse();
     each_partner(
         fixed.0,
-        moving.0.cloud,
+        &moving.0.cloud,
         moving.1,
         &inverse,
         tolerance,
@@ -206,9 +212,9 @@ pub fn agreement<P: FindsPartner>(
 /// Distance from the partners' planes that the clouds keep at `pose`: three times its robust
 /// standard deviation over the witnesses of `moving` that find a partner; 0 where none does.
 pub fn off_plane_noise_m<P: FindsPartner>(
-    moving: &Witnesses<'_>,
-    fixed: (&Witnesses<'_>, &P),
-    pose: &Rigid,
+    moving: &Witnesses,
+    fixed: (&Witnesses, &P),
+    pose: &Similarity,
     max_distance_m: f64,
 ) -> f64 {
     /// From the median of absolute deviations to the standard deviation of a normal law.
@@ -217,7 +223,7 @@ pub fn off_plane_noise_m<P: FindsPartner>(
     let tolerance = Tolerance::within(max_distance_m);
     each_partner(
         moving,
-        fixed.0.cloud,
+        &fixed.0.cloud,
         fixed.1,
         pose,
         tolerance,
@@ -246,10 +252,10 @@ impl Count {
 /// Calls `visit` with every witness of `from` that has a partner with an agreeing normal in `to`,
 /// and how far it lies from the partner's plane.
 fn each_partner<P: FindsPartner>(
-    from: &Witnesses<'_>,
+    from: &Witnesses,
     to: &SurfaceCloud,
     finder: &P,
-    to_from: &Rigid,
+    to_from: &Similarity,
     tolerance: Tolerance,
     mut visit: impl FnMut(usize, f64),
 ) {
@@ -264,7 +270,7 @@ fn each_partner<P: FindsPartner>(
         let Some(partner) = finder.partner(&moved, max_sq) else {
             continue;
         };
-        let own = to_from.rotate(&from.cloud.surfaces[i].normal);
+        let own = to_from.rigid.rotate(&from.cloud.surfaces[i].normal);
         let normal = &to.surfaces[partner].normal;
         let place = &to.points()[partner];
         let cosine: f64 = (0..3).map(|axis| own[axis] * normal[axis]).sum();
@@ -294,7 +300,7 @@ pub struct Support {
 pub fn support(
     moving: &SurfaceCloud,
     fixed: &SurfaceCloud,
-    pose: &Rigid,
+    pose: &Similarity,
     max_distance_m: f64,
 ) -> Support {
     let max_sq = max_distance_m * max_distance_m;

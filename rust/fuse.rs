@@ -13,7 +13,7 @@ use crate::error::{Error, Result, require_positive};
 use crate::neighbors::NeighborIndex;
 use crate::parallel;
 use crate::progress::Progress;
-use crate::rigid::Rigid;
+use crate::similarity::Similarity;
 use crate::spacing::nearest_spacing_quantile_m;
 
 /// The derived hole radius is so many times the spacing that nine points in ten of the sparser
@@ -108,7 +108,7 @@ pub fn fuse(
     target_index: &NeighborIndex,
     source: &Cloud,
     source_index: &NeighborIndex,
-    target_from_source: &Rigid,
+    target_from_source: impl Into<Similarity>,
     options: &FuseOptions,
     progress: &Progress<'_>,
 ) -> Result<FusedCloud> {
@@ -122,7 +122,8 @@ pub fn fuse(
         Some(radius_m) => require_positive("hole_radius_m", radius_m)?,
         None => derived_hole_radius_m(target_index, source_index),
     };
-    let source_points = moved(source.points(), target_from_source, progress)?;
+    let target_from_source = target_from_source.into();
+    let source_points = moved(source.points(), &target_from_source, progress)?;
     let target_points = moved(target.points(), &target_from_source.inverse(), progress)?;
     let target_distances_m = distances_m(&target_points, source_index, progress)?;
     let source_distances_m = distances_m(&source_points, target_index, progress)?;
@@ -147,7 +148,7 @@ fn derived_hole_radius_m(target_index: &NeighborIndex, source_index: &NeighborIn
     RADIUS_IN_SPACINGS * spacing_m(target_index).max(spacing_m(source_index))
 }
 
-fn moved(points: &[Point], pose: &Rigid, progress: &Progress<'_>) -> Result<Vec<Point>> {
+fn moved(points: &[Point], pose: &Similarity, progress: &Progress<'_>) -> Result<Vec<Point>> {
     parallel::map_cheap(points.len(), progress, |i| pose.apply(&points[i]))
 }
 
@@ -195,6 +196,7 @@ mod tests {
     use super::*;
     use crate::cloud::distance_sq;
     use crate::random::Stream;
+    use crate::rigid::Rigid;
 
     fn cloud(points: &[Point]) -> Cloud {
         Cloud::of_any_shape("cloud", points).unwrap()

@@ -13,6 +13,7 @@ pub mod rigid;
 pub mod similarity;
 
 // Floor 1: tools.
+pub mod descriptors;
 pub mod distance_field;
 pub mod kabsch;
 pub mod near_field;

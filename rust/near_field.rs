@@ -150,8 +150,7 @@ impl NearField {
         let range =
             |axis: usize| at[axis].saturating_sub(1)..(at[axis] + 2).min(self.n_blocks[axis]);
         let corner: Point = at.map(|i| (i * EDGE) as f64);
-        let reach_sq = self.reach_cells * self.reach_cells;
-        let mut best_sq = [reach_sq; CELLS];
+        let mut best_sq = [(self.reach_cells * self.reach_cells) as f32; CELLS];
         let mut nearest = [NOBODY; CELLS];
         for (z, y) in range(2).flat_map(|z| range(1).map(move |y| (z, y))) {
             let row = (z * ny + y) * nx;
@@ -159,9 +158,10 @@ impl NearField {
             let (first, last) = (row + xs.start, row + xs.end);
             for &i in &self.members[self.starts[first] as usize..self.starts[last] as usize] {
                 let p = self.in_cells(&self.points[i as usize]);
-                // Relative to the centre of the first cell of the block.
-                let p: Point = std::array::from_fn(|axis| p[axis] - corner[axis] - 0.5);
-                stamp(&p, i, self.reach_cells, &mut best_sq, &mut nearest);
+                // Relative to the centre of the first cell of the block, where single precision
+                // resolves a ten-millionth of a cell.
+                let p = std::array::from_fn(|axis| (p[axis] - corner[axis] - 0.5) as f32);
+                stamp(p, i, self.reach_cells as f32, &mut best_sq, &mut nearest);
             }
         }
         nearest
@@ -172,26 +172,27 @@ impl NearField {
 }
 
 /// Enters a point into every cell of a block that it is nearer to than those before it.
-fn stamp(p: &Point, i: u32, reach: f64, best_sq: &mut [f64; CELLS], nearest: &mut [u32; CELLS]) {
-    let span = |axis: usize, reach: f64| {
-        let low = (p[axis] - reach).ceil().max(0.0);
-        let high = (p[axis] + reach).floor().min(EDGE as f64 - 1.0);
-        // Empty where high is below low: a cast of a negative number gives 0.
-        low as usize..(high + 1.0) as usize
-    };
+fn stamp(p: [f32; 3], i: u32, reach: f32, best_sq: &mut [f32; CELLS], nearest: &mut [u32; CELLS]) {
+    if p.iter()
+        .any(|v| *v < -reach || *v > EDGE as f32 - 1.0 + reach)
+    {
+        return;
+    }
+    let [xs_sq, ys_sq, zs_sq] =
+        p.map(|v| std::array::from_fn::<f32, EDGE, _>(|cell| (v - cell as f32).powi(2)));
     let reach_sq = reach * reach;
-    for z in span(2, reach) {
-        let dz_sq = (p[2] - z as f64).powi(2);
-        for y in span(1, (reach_sq - dz_sq).max(0.0).sqrt()) {
-            let dyz_sq = dz_sq + (p[1] - y as f64).powi(2);
-            for x in span(0, (reach_sq - dyz_sq).max(0.0).sqrt()) {
-                let distance_sq = dyz_sq + (p[0] - x as f64).powi(2);
-                let cell = (z * EDGE + y) * EDGE + x;
-                if distance_sq < best_sq[cell] {
-                    best_sq[cell] = distance_sq;
-                    nearest[cell] = i;
-                }
-            }
+    let rows = best_sq.as_chunks_mut::<EDGE>().0.iter_mut();
+    let rows = rows.zip(nearest.as_chunks_mut::<EDGE>().0);
+    for (row, (best_sq, nearest)) in rows.enumerate() {
+        let across_sq = zs_sq[row / EDGE] + ys_sq[row % EDGE];
+        if across_sq > reach_sq {
+            continue;
+        }
+        for x in 0..EDGE {
+            let distance_sq = across_sq + xs_sq[x];
+            let nearer = distance_sq < best_sq[x];
+            best_sq[x] = if nearer { distance_sq } else { best_sq[x] };
+            nearest[x] = if nearer { i } else { nearest[x] };
         }
     }
 }

@@ -2,24 +2,28 @@
 //!
 //! outliers → voxel → keypoints → coarse → icp → verdict → evaluate, and then fuse.
 
-use crate::cloud::{Cloud, MIN_POINTS, Point};
-use crate::coarse::{self, CoarseResult, StandingOut};
+mod apart;
+mod prepare;
+mod search;
+
+use prepare::{Prepared, cropped};
+
+pub use apart::{Evaluation, evaluate, fuse_clouds};
+
+use crate::cloud::{Cloud, Point};
+use crate::coarse::{CoarseResult, Deadline};
 use crate::config::{Config, Mode};
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
-use crate::fitness::{Tolerance, Witnesses, agreement, support};
-use crate::fuse::{FuseOptions, FusedCloud, fuse};
+use crate::fitness::{Tolerance, agreement, support};
 use crate::icp::{IcpResult, IcpStop, icp};
-use crate::keypoints::{self, RADIUS_IN_VOXELS};
 use crate::neighbors::NeighborIndex;
 use crate::outlier::remove_outliers;
 use crate::parallel;
-use crate::progress::{Event, Progress, Stage};
+use crate::progress::{Progress, Stage};
 use crate::registration::{Registration, StageLog};
-use crate::rigid::Rigid;
-use crate::surface_cloud::SurfaceCloud;
+use crate::similarity::Similarity;
 use crate::verdict::{Evidence, Strength, judge};
-use crate::voxel::downsample;
 
 /// Voxels along the extent of the smaller cloud, where no edge is asked for.
 pub const VOXELS_PER_EXTENT: f64 = 250.0;
@@ -68,120 +72,82 @@ fn route(
     config: &Config,
     progress: &Progress<'_>,
 ) -> Result<Registration> {
+    let deadline = Deadline::after(config.coarse.max_seconds);
     let mut config = config.clone();
     let mut log = StageLog::new(progress);
 
     log.begin(Stage::Outliers, source.len(), target.len())?;
-    let source_index = NeighborIndex::new(source.points());
-    let target_index = NeighborIndex::new(target.points());
+    let (source_index, target_index) = parallel::both(
+        || NeighborIndex::new(source.points()),
+        || NeighborIndex::new(target.points()),
+    );
     let source_cleaned = remove_outliers(source, &source_index, &config.outliers, progress)?;
     let target_cleaned = remove_outliers(target, &target_index, &config.outliers, progress)?;
-    log.end(source_cleaned.cloud.len(), target_cleaned.cloud.len());
+    let outlier_radius_m = (source_cleaned.radius_m, target_cleaned.radius_m);
+    let mut source_cleaned = source_cleaned.cloud;
+    let mut target_cleaned = target_cleaned.cloud;
+    if let Some(corners) = &config.source_crop_m {
+        source_cleaned = cropped("source cloud", &source_cleaned, corners)?;
+    }
+    if let Some(corners) = &config.target_crop_m {
+        target_cleaned = cropped("target cloud", &target_cleaned, corners)?;
+    }
+    log.end(source_cleaned.len(), target_cleaned.len());
 
-    log.begin(
-        Stage::Voxel,
-        source_cleaned.cloud.len(),
-        target_cleaned.cloud.len(),
-    )?;
-    let unit_m = extent_of_smaller(&source_cleaned.cloud, &target_cleaned.cloud)?;
-    let voxel_size_m = config
-        .voxel
-        .voxel_size_m
-        .unwrap_or(unit_m / VOXELS_PER_EXTENT);
-    let source_voxels = downsample(&source_cleaned.cloud, voxel_size_m, progress)?.cloud;
-    let target_voxels = downsample(&target_cleaned.cloud, voxel_size_m, progress)?.cloud;
-    let source_surface = SurfaceCloud::new(&source_voxels, config.seed, progress)?;
-    let target_surface = SurfaceCloud::new(&target_voxels, config.seed, progress)?;
-    let (n_source, n_target) = (source_voxels.len(), target_voxels.len());
-    log.end(n_source, n_target);
+    let mut best: Option<(Prepared, CoarseResult)> = None;
+    for scale in search::scales(&config) {
+        log.begin(Stage::Voxel, source_cleaned.len(), target_cleaned.len())?;
+        let prepared = Prepared::new(&source_cleaned, &target_cleaned, scale, &config, progress)?;
+        log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
+        let found = search::search(&prepared, &config, deadline, &mut log, progress)?;
+        log.keep();
+        if best
+            .as_ref()
+            .is_none_or(|(_, b)| search::merit(&found) > search::merit(b))
+        {
+            best = Some((prepared, found));
+        }
+    }
+    let Some((prepared, found)) = best else {
+        return Err(Error::NoSolution {
+            reason: "no scale was asked for".into(),
+        });
+    };
+    let voxel_size_m = prepared.voxel_size_m;
     let max_distance_m = config
         .icp
         .max_distance_m
         .unwrap_or(SUPPORT_IN_VOXELS * voxel_size_m);
     config.resolve(voxel_size_m, max_distance_m);
 
-    let [source_witnesses, target_witnesses] = Witnesses::of_both(
-        [&source_surface, &target_surface],
-        coarse::N_WITNESSES,
-        coarse::WITNESS_RADIUS * unit_m,
-        voxel_size_m,
-        progress,
-    )?;
-
-    let found = match config.mode {
-        Mode::Robust => {
-            log.begin(Stage::Coarse, n_source, n_target)?;
-            let (seed, options) = (config.seed, &config.coarse);
-            let (source, target) = (&source_witnesses, &target_witnesses);
-            let enough = StandingOut {
-                inlier_share: config.verdict.accept_inlier_share,
-                ambiguity_ratio: config.verdict.accept_ambiguity_ratio,
-                share_times_ratio: config.verdict.accept_share_times_ratio,
-            };
-            coarse::search_robust(source, target, unit_m, options, enough, seed, progress)?
-        }
-        Mode::Paper => {
-            log.begin(Stage::Keypoints, n_source, n_target)?;
-            let keypoints = |cloud: &Cloud, about: Point| -> Result<Vec<Point>> {
-                let radius_m = RADIUS_IN_VOXELS * voxel_size_m;
-                let index = NeighborIndex::new(cloud.points());
-                let found =
-                    keypoints::detect(cloud, &index, &config.keypoints, radius_m, progress)?;
-                let local = |i: &u32| {
-                    let p = cloud.points()[*i as usize];
-                    std::array::from_fn(|axis| p[axis] + (cloud.origin()[axis] - about[axis]))
-                };
-                Ok(found.indices.iter().map(local).collect())
-            };
-            let source_keypoints = keypoints(&source_voxels, source_surface.origin)?;
-            let target_keypoints = keypoints(&target_voxels, target_surface.origin)?;
-            log.end(source_keypoints.len(), target_keypoints.len());
-            log.begin(
-                Stage::Coarse,
-                source_keypoints.len(),
-                target_keypoints.len(),
-            )?;
-            let (seed, options) = (config.seed, &config.paper);
-            coarse::search_paper(
-                &source_keypoints,
-                &target_keypoints,
-                options,
-                seed,
-                progress,
-            )?
-        }
+    let (source_surface, target_surface) = (&prepared.source.cloud, &prepared.target.cloud);
+    log.begin(Stage::Icp, source_surface.len(), target_surface.len())?;
+    let coarse_pose = found.candidates[0].target_from_source;
+    let fine = refine(&prepared, &coarse_pose, &config, progress)?;
+    let fine_pose = Similarity {
+        scale: coarse_pose.scale,
+        rigid: fine.target_from_source,
     };
     log.keep();
 
-    log.begin(Stage::Icp, n_source, n_target)?;
-    let coarse_pose = found.candidates[0].target_from_source;
-    let fine = refine(
-        &source_surface,
-        &target_surface,
-        &coarse_pose,
-        &config,
-        progress,
-    )?;
-    log.keep();
-
-    log.begin(Stage::Verdict, n_source, n_target)?;
+    log.begin(Stage::Verdict, source_surface.len(), target_surface.len())?;
     let tolerance = Tolerance::within(max_distance_m);
-    let agreed = |pose: &Rigid| {
+    let agreed = |pose: &Similarity| {
         agreement(
-            (&source_witnesses, &source_surface.index),
-            (&target_witnesses, &target_surface.index),
+            (&prepared.source, &source_surface.index),
+            (&prepared.target, &target_surface.index),
             pose,
             tolerance,
         )
     };
-    let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source));
+    let (before, after) = (agreed(&coarse_pose), agreed(&fine_pose));
     // Robust mode keeps ICP's pose only where it is no worse; the paper always takes it.
     let (pose, agreed) = if config.mode == Mode::Paper || after.score >= before.score {
-        (fine.target_from_source, after)
+        (fine_pose, after)
     } else {
         (coarse_pose, before)
     };
-    let support = support(&source_surface, &target_surface, &pose, max_distance_m);
+    let support = support(source_surface, target_surface, &pose, max_distance_m);
     let strength = Strength::new(
         &support.planes.information(),
         support.planes.weight(),
@@ -199,23 +165,25 @@ fn route(
     log.keep();
 
     log.begin(Stage::Evaluate, source.len(), target.len())?;
-    let (source_pivot, target_pivot) = (source_surface.origin, target_surface.origin);
-    let given = |pose: &Rigid| pose.between_given_coordinates(source_pivot, target_pivot);
-    let local = given(&pose).between_local_coordinates(source.origin(), target.origin());
-    let source_to_target = distances(source, &target_index, &local, progress)?;
-    let target_to_source = distances(target, &source_index, &local.inverse(), progress)?;
+    let (source_pivot, target_pivot) = (prepared.source_pivot(), prepared.target_pivot());
+    let about_pivots = prepared.about_pivots(&pose);
+    let given = |pose: &Similarity| {
+        prepared
+            .about_pivots(pose)
+            .between_given_coordinates(source_pivot, target_pivot)
+    };
+    let target_from_source = given(&pose);
+    let (source_to_target, target_to_source) = distances(
+        (source, &source_index),
+        (target, &target_index),
+        &target_from_source.between_local_coordinates(source.origin(), target.origin()),
+        progress,
+    )?;
     log.keep();
 
-    let CoarseResult {
-        candidates,
-        n_evaluations,
-        history,
-        ambiguity_ratio,
-        ..
-    } = found;
     Ok(Registration {
-        target_from_source: given(&pose),
-        about_pivots: pose,
+        target_from_source,
+        about_pivots,
         source_pivot,
         target_pivot,
         verdict: judgement.verdict,
@@ -226,21 +194,22 @@ fn route(
         overlap_of_source: share_within(&source_to_target, max_distance_m),
         overlap_of_target: share_within(&target_to_source, max_distance_m),
         inlier_share: agreed.inlier_share,
-        ambiguity_ratio,
+        ambiguity_ratio: found.ambiguity_ratio,
         strength,
-        candidates: candidates
+        candidates: found
+            .candidates
             .iter()
             .map(|c| (given(&c.target_from_source), c.score))
             .collect(),
-        n_evaluations,
-        history,
+        n_evaluations: found.n_evaluations,
+        history: found.history,
         icp_stop: fine.stop_reason,
         n_icp_iterations: fine.n_iterations,
         icp_history: fine.history,
         source_to_target: statistics(&source_to_target)?,
         target_to_source: statistics(&target_to_source)?,
         n_non_finite: (source.n_non_finite(), target.n_non_finite()),
-        outlier_radius_m: (source_cleaned.radius_m, target_cleaned.radius_m),
+        outlier_radius_m,
         voxel_size_m,
         max_distance_m,
         stages: log.records,
@@ -250,113 +219,51 @@ fn route(
 
 /// Brings the coarse pose to rest: the paper's ICP, or point-to-plane on the overlap.
 fn refine(
-    source: &SurfaceCloud,
-    target: &SurfaceCloud,
-    coarse_pose: &Rigid,
+    prepared: &Prepared,
+    coarse_pose: &Similarity,
     config: &Config,
     progress: &Progress<'_>,
 ) -> Result<IcpResult> {
-    let (points, index, surfaces) = (source.points(), &target.index, &target.surfaces);
-    icp(points, index, surfaces, coarse_pose, &config.icp, progress)
-}
-
-/// Cloud-to-cloud distances of two clouds at a pose: from every point to the nearest of the other.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Evaluation {
-    /// From each finite source point to the target.
-    pub source_to_target_m: Vec<f64>,
-    /// From each finite target point to the source.
-    pub target_to_source_m: Vec<f64>,
-}
-
-/// Stage 7 alone: the distances at a pose that is already known.
-///
-/// # Errors
-/// [`Error::TooFewPoints`] for a cloud without finite points; [`Error::Cancelled`].
-pub fn evaluate(
-    source: &[Point],
-    target: &[Point],
-    target_from_source: &Rigid,
-    progress: &Progress<'_>,
-) -> Result<Evaluation> {
-    let source = some_points("source cloud", source)?;
-    let target = some_points("target cloud", target)?;
-    let local = target_from_source.between_local_coordinates(source.origin(), target.origin());
-    let source_index = NeighborIndex::new(source.points());
-    let target_index = NeighborIndex::new(target.points());
-    Ok(Evaluation {
-        source_to_target_m: distances(&source, &target_index, &local, progress)?,
-        target_to_source_m: distances(&target, &source_index, &local.inverse(), progress)?,
-    })
-}
-
-/// Stage 8 alone: one cloud from two, at a pose that is already known.
-///
-/// # Errors
-/// [`Error::TooFewPoints`] for a cloud without finite points; [`Error::InvalidArgument`] for the
-/// options; [`Error::Cancelled`].
-pub fn fuse_clouds(
-    source: &[Point],
-    target: &[Point],
-    target_from_source: &Rigid,
-    options: &FuseOptions,
-    progress: &Progress<'_>,
-) -> Result<FusedCloud> {
-    progress.emit(&Event::Started { stage: Stage::Fuse })?;
-    let source = some_points("source cloud", source)?;
-    let target = some_points("target cloud", target)?;
-    let local = target_from_source.between_local_coordinates(source.origin(), target.origin());
-    let source_index = NeighborIndex::new(source.points());
-    let target_index = NeighborIndex::new(target.points());
-    fuse(
-        &target,
-        &target_index,
-        &source,
-        &source_index,
-        &local,
-        options,
+    let target = &prepared.target.cloud;
+    let (points, index, surfaces) = (
+        prepared.source.cloud.points(),
+        &target.index,
+        &target.surfaces,
+    );
+    icp(
+        points,
+        index,
+        surfaces,
+        &coarse_pose.rigid,
+        &config.icp,
         progress,
     )
 }
 
-fn some_points(what: &str, points: &[Point]) -> Result<Cloud> {
-    let cloud = Cloud::of_any_shape(what, points)?;
-    if cloud.is_empty() {
-        return Err(Error::TooFewPoints {
-            what: what.into(),
-            found: 0,
-            needed: 1,
-        });
-    }
-    Ok(cloud)
-}
-
+/// From every point of each cloud to the nearest of the other: source to target, and back.
 fn distances(
-    from: &Cloud,
-    to: &NeighborIndex,
-    to_from: &Rigid,
+    (source, source_index): (&Cloud, &NeighborIndex),
+    (target, target_index): (&Cloud, &NeighborIndex),
+    target_from_source: &Similarity,
     progress: &Progress<'_>,
-) -> Result<Vec<f64>> {
-    let moved = parallel::map_cheap(from.len(), progress, |i| to_from.apply(&from.points()[i]))?;
-    nearest_distances(&moved, to, progress)
+) -> Result<(Vec<f64>, Vec<f64>)> {
+    let moved = |cloud: &Cloud, pose: &Similarity| {
+        parallel::map_cheap(cloud.len(), progress, |i| pose.apply(&cloud.points()[i]))
+    };
+    let forth = nearest_distances(&moved(source, target_from_source)?, target_index, progress)?;
+    let back = target_from_source.inverse();
+    let back = nearest_distances(&moved(target, &back)?, source_index, progress)?;
+    // Both are told in the target's unit.
+    let scale = target_from_source.scale;
+    let back = match scale {
+        1.0 => back,
+        _ => back.into_iter().map(|distance| scale * distance).collect(),
+    };
+    Ok((forth, back))
 }
 
 fn statistics(distances_m: &[f64]) -> Result<DistanceStatistics> {
     DistanceStatistics::from_distances(distances_m).ok_or_else(|| Error::NoSolution {
         reason: "there are no distances".into(),
     })
-}
-
-/// The extent of the smaller cloud, which every derived length is a share of.
-fn extent_of_smaller(source: &Cloud, target: &Cloud) -> Result<f64> {
-    for (what, cloud) in [("source cloud", source), ("target cloud", target)] {
-        if cloud.len() < MIN_POINTS {
-            return Err(Error::TooFewPoints {
-                what: format!("{what}, after outlier removal,"),
-                found: cloud.len(),
-                needed: MIN_POINTS,
-            });
-        }
-    }
-    Ok(source.extent_m().min(target.extent_m()))
 }

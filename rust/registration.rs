@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::evaluate::DistanceStatistics;
 use crate::icp::IcpStop;
 use crate::progress::{Event, Progress, Stage};
-use crate::rigid::Rigid;
+use crate::similarity::Similarity;
 use crate::verdict::{Strength, Verdict};
 
 /// What one stage did.
@@ -29,10 +29,10 @@ pub struct StageRecord {
 #[non_exhaustive]
 pub struct Registration {
     /// The pose.
-    pub target_from_source: Rigid,
-    /// The same pose about two pivots: q = R·(p − source pivot) + t + target pivot. Small numbers,
+    pub target_from_source: Similarity,
+    /// The same pose about two pivots: q = s·R·(p − source pivot) + t + target pivot. Small numbers,
     /// so that nothing is lost where the matrix is written as text.
-    pub about_pivots: Rigid,
+    pub about_pivots: Similarity,
     /// Pivot in the source: its centroid.
     pub source_pivot: Point,
     /// Pivot in the target: its centroid.
@@ -59,7 +59,7 @@ pub struct Registration {
     /// How firmly the common surface holds the pose.
     pub strength: Strength,
     /// The best poses found, best first: (pose, score).
-    pub candidates: Vec<(Rigid, f64)>,
+    pub candidates: Vec<(Similarity, f64)>,
     /// Poses for which the clouds were compared during the search.
     pub n_evaluations: usize,
     /// Best score of the search so far, step by step.

@@ -82,6 +82,18 @@ impl From<Rigid> for Similarity {
     }
 }
 
+impl From<&Rigid> for Similarity {
+    fn from(rigid: &Rigid) -> Self {
+        (*rigid).into()
+    }
+}
+
+impl From<&Similarity> for Similarity {
+    fn from(pose: &Similarity) -> Self {
+        *pose
+    }
+}
+
 impl Mul for Similarity {
     type Output = Self;
 

@@ -4,6 +4,7 @@ use crate::cloud::{Cloud, Point, bounds, centroid};
 use crate::error::Result;
 use crate::neighbors::NeighborIndex;
 use crate::normals::{self, Surface};
+use crate::parallel;
 use crate::progress::Progress;
 use crate::random::Stream;
 
@@ -58,6 +59,16 @@ impl SurfaceCloud {
     /// The first `n` points, or all: a random sample.
     pub fn sample(&self, n: usize) -> &[Point] {
         &self.points()[..n.min(self.len())]
+    }
+
+    /// The first point in each occupied cell of a grid of edge `cell_m` (above 0), by cell.
+    pub fn one_for_each_cell(&self, cell_m: f64) -> Vec<Point> {
+        let cell_of = |p: &Point| p.map(|v| (v / cell_m).floor() as i64);
+        let points = self.points().iter().enumerate();
+        let mut by_cell: Vec<([i64; 3], usize)> = points.map(|(i, p)| (cell_of(p), i)).collect();
+        parallel::sort_unstable(&mut by_cell);
+        by_cell.dedup_by_key(|(cell, _)| *cell);
+        by_cell.into_iter().map(|(_, i)| self.points()[i]).collect()
     }
 
     /// Number of points.

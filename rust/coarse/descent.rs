@@ -1,12 +1,14 @@
-//! From a start into the nearest basin: truncated ICP steps on the nearest-point grid.
+//! From a start into the nearest basin: truncated ICP steps on grids that know nearest points.
 
 use crate::cloud::Point;
 use crate::distance_field::NearestGrid;
+use crate::freedom::Freedom;
 use crate::kabsch::PairSums;
 use crate::near_field::NearField;
 use crate::normals::Surface;
-use crate::point_to_plane::PlaneSums;
+use crate::point_to_plane::{PlaneSums, ScaledPlaneSums};
 use crate::rigid::Rigid;
+use crate::similarity::Similarity;
 
 /// Truncation distances that shrink geometrically from `first` to `last` over the steps.
 #[derive(Debug, Clone, Copy)]
@@ -35,11 +37,12 @@ impl Shrinking {
     }
 }
 
-/// Point-to-point steps: pairs farther apart than the truncation distance do not pull.
+/// Point-to-point steps without a scale: pairs farther apart than the truncation do not pull.
 pub(super) fn to_points(
     points: &[Point],
     grid: &NearestGrid,
     start: Rigid,
+    freedom: Freedom,
     truncation: Shrinking,
 ) -> Rigid {
     let mut pose = start;
@@ -52,7 +55,11 @@ pub(super) fn to_points(
                 sums.add(p, &grid.points()[partner], 1.0);
             }
         }
-        match sums.solve() {
+        let better = match freedom {
+            Freedom::Levelled => sums.solve_levelled(),
+            Freedom::Rigid | Freedom::Similarity => sums.solve(),
+        };
+        match better {
             Some(better) => pose = better,
             None => break,
         }
@@ -60,65 +67,111 @@ pub(super) fn to_points(
     pose
 }
 
-/// Point-to-plane steps along the moving cloud's own normals, partners from the grid.
-pub(super) fn to_planes_on_grid(
-    points: &[Point],
-    surfaces: &[Surface],
-    grid: &NearestGrid,
-    start: Rigid,
-    truncation: Shrinking,
-) -> Rigid {
-    to_planes(points, surfaces, start, truncation, |moved, max_sq| {
-        let (partner, distance_sq) = grid.nearest(moved);
-        (distance_sq < max_sq).then(|| grid.points()[partner])
-    })
+/// The fixed cloud as point-to-plane steps see it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fixed<'a> {
+    /// The whole box, coarsely.
+    pub(super) grid: &'a NearestGrid,
+    /// What lies close, finely; asked first where it is given.
+    pub(super) field: Option<&'a NearField>,
 }
 
-/// The same with partners from the near field, and from the grid where there is nobody near.
-pub(super) fn to_planes_nearby(
-    points: &[Point],
-    surfaces: &[Surface],
-    field: &NearField,
-    grid: &NearestGrid,
-    start: Rigid,
-    truncation: Shrinking,
-) -> Rigid {
-    to_planes(points, surfaces, start, truncation, |moved, max_sq| {
-        let (partner, distance_sq) = field.nearest(moved).unwrap_or_else(|| grid.nearest(moved));
-        (distance_sq < max_sq).then(|| grid.points()[partner])
-    })
+impl Fixed<'_> {
+    #[inline]
+    fn partner(&self, place: &Point, max_sq: f64) -> Option<Point> {
+        let near = self.field.and_then(|field| field.nearest(place));
+        let (partner, distance_sq) = near.unwrap_or_else(|| self.grid.nearest(place));
+        (distance_sq < max_sq).then(|| self.grid.points()[partner])
+    }
 }
 
-fn to_planes(
+/// Point-to-plane steps along the moving cloud's own normals.
+pub(super) fn to_planes(
     points: &[Point],
     surfaces: &[Surface],
-    start: Rigid,
+    fixed: Fixed<'_>,
+    start: Similarity,
+    freedom: Freedom,
     truncation: Shrinking,
-    partner_of: impl Fn(&Point, f64) -> Option<Point>,
-) -> Rigid {
+) -> Similarity {
+    match freedom {
+        Freedom::Levelled => slide::<Levelled>(points, surfaces, fixed, start, truncation),
+        Freedom::Rigid => slide::<PlaneSums>(points, surfaces, fixed, start, truncation),
+        Freedom::Similarity => slide::<ScaledPlaneSums>(points, surfaces, fixed, start, truncation),
+    }
+}
+
+/// What a step is solved from, by degrees of freedom.
+trait StepSums: Default {
+    fn add(&mut self, moved: &Point, partner: &Point, normal: &Point);
+    fn step(&self) -> Option<Similarity>;
+}
+
+impl StepSums for PlaneSums {
+    #[inline]
+    fn add(&mut self, moved: &Point, partner: &Point, normal: &Point) {
+        self.add(moved, partner, normal, 1.0);
+    }
+
+    fn step(&self) -> Option<Similarity> {
+        self.solve().map(Similarity::from)
+    }
+}
+
+#[derive(Default)]
+struct Levelled(PlaneSums);
+
+impl StepSums for Levelled {
+    #[inline]
+    fn add(&mut self, moved: &Point, partner: &Point, normal: &Point) {
+        self.0.add(moved, partner, normal, 1.0);
+    }
+
+    fn step(&self) -> Option<Similarity> {
+        self.0.solve_levelled().map(Similarity::from)
+    }
+}
+
+impl StepSums for ScaledPlaneSums {
+    #[inline]
+    fn add(&mut self, moved: &Point, partner: &Point, normal: &Point) {
+        self.add(moved, partner, normal, 1.0);
+    }
+
+    fn step(&self) -> Option<Similarity> {
+        self.solve()
+    }
+}
+
+fn slide<S: StepSums>(
+    points: &[Point],
+    surfaces: &[Surface],
+    fixed: Fixed<'_>,
+    start: Similarity,
+    truncation: Shrinking,
+) -> Similarity {
     let mut pose = start;
     for step in 0..truncation.n_steps {
         let max_sq = truncation.at(step).powi(2);
-        // The step turns about the middle of the moved points, where its linearisation is best.
-        let middle: Point = pose.translation.into();
-        let mut sums = PlaneSums::default();
+        // The step turns about the middle of the moved cloud, where its linearisation is best.
+        let middle: Point = pose.rigid.translation.into();
+        let about = |v: &Point| std::array::from_fn(|axis| v[axis] - middle[axis]);
+        let mut sums = S::default();
         for (p, surface) in points.iter().zip(surfaces) {
             let moved = pose.apply(p);
-            if let Some(partner) = partner_of(&moved, max_sq) {
-                let about = |v: &Point| std::array::from_fn(|axis| v[axis] - middle[axis]);
-                sums.add(
-                    &about(&moved),
-                    &about(&partner),
-                    &pose.rotate(&surface.normal),
-                    1.0,
-                );
+            if let Some(partner) = fixed.partner(&moved, max_sq) {
+                let normal = pose.rigid.rotate(&surface.normal);
+                sums.add(&about(&moved), &about(&partner), &normal);
             }
         }
-        let Some(step) = sums.solve() else { break };
-        // pose ← shift(middle) · step · shift(−middle) · pose, and the pose's translation is `middle`.
-        pose = Rigid {
-            rotation: step.rotation * pose.rotation,
-            translation: pose.translation + step.translation,
+        let Some(step) = sums.step() else { break };
+        // pose ← shift(middle) · step · shift(−middle) · pose; the pose's translation is `middle`.
+        pose = Similarity {
+            scale: step.scale * pose.scale,
+            rigid: Rigid {
+                rotation: step.rigid.rotation * pose.rigid.rotation,
+                translation: pose.rigid.translation + step.rigid.translation,
+            },
         };
     }
     pose

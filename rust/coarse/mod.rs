@@ -6,22 +6,30 @@
 //! Source: robust is ours; paper is Ren, Zhao & Han (2023), Sections 4.3 and 4.4.
 //! Absent on purpose: the verdict; this stage reports figures and judges nobody.
 
+mod deadline;
 mod descent;
+mod explore;
+mod hypotheses;
+mod options;
 mod paper;
 mod robust;
 mod starts;
+mod verify;
 
+pub use deadline::Deadline;
+pub use options::RobustSearchOptions;
 pub use paper::{PaperBox, PaperSearchOptions, search_paper};
 pub(crate) use robust::{N_WITNESSES, WITNESS_RADIUS};
-pub use robust::{RobustSearchOptions, StandingOut, search_robust};
+pub use robust::{Problem, StandingOut, search_robust};
 
 use crate::rigid::Rigid;
+use crate::similarity::Similarity;
 
 /// A pose, and how far the clouds agree at it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Candidate {
     /// Takes local source coordinates to local target coordinates.
-    pub target_from_source: Rigid,
+    pub target_from_source: Similarity,
     /// What candidates are ranked by, higher is better: in robust mode the curvature-weighted
     /// symmetric share of inliers, 0 to about 1; in paper mode minus the RMS of Eq. (1).
     pub score: f64,
@@ -38,12 +46,16 @@ pub struct CoarseResult {
     /// Score of the best by the score of the best clearly different pose; infinite where no other
     /// pose scored, 1 where two poses are equally good, NaN where no second pose was looked for.
     pub ambiguity_ratio: f64,
+    /// The best score of a few random poses, refined like all others; NaN in paper mode.
+    pub chance_score: f64,
     /// Poses for which the clouds were compared, every step of every descent counted.
     pub n_evaluations: usize,
     /// Best score so far, after each verified pose (robust) or iteration (paper).
     pub history: Vec<f64>,
     /// Rounds of starts that were needed (robust) or iterations made (paper).
     pub n_rounds: usize,
+    /// Whether the deadline ended it.
+    pub ended_early: bool,
     /// The length that distances of the search are shares of: the extent of the smaller cloud.
     pub unit_m: f64,
 }
@@ -56,7 +68,13 @@ impl CoarseResult {
 }
 
 /// Whether two poses of a cloud about its middle differ by more than an angle or a distance.
-fn differ(a: &Rigid, b: &Rigid, angle_rad: f64, distance: f64) -> bool {
+fn differ_rigid(a: &Rigid, b: &Rigid, angle_rad: f64, distance: f64) -> bool {
     (a.translation - b.translation).norm() > distance
         || (a.rotation.transpose() * b.rotation).trace() < 1.0 + 2.0 * angle_rad.cos()
+}
+
+/// The same for poses with a scale, which differ also where the scale does.
+fn differ(a: &Similarity, b: &Similarity, angle_rad: f64, distance: f64) -> bool {
+    (a.scale / b.scale).ln().abs() > angle_rad
+        || differ_rigid(&a.rigid, &b.rigid, angle_rad, distance)
 }

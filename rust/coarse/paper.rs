@@ -119,14 +119,17 @@ pub fn search_paper(
     Ok(CoarseResult {
         candidates: vec![Candidate {
             target_from_source: pose_of(&found.x)
-                .between_given_coordinates(source_middle, target_middle),
+                .between_given_coordinates(source_middle, target_middle)
+                .into(),
             score: -found.fun,
             inlier_share: f64::NAN,
         }],
         ambiguity_ratio: f64::NAN,
+        chance_score: f64::NAN,
         n_evaluations: found.n_evaluations,
         history: found.history,
         n_rounds: found.n_iterations,
+        ended_early: false,
         unit_m,
     })
 }

@@ -5,12 +5,30 @@ use std::f64::consts::{SQRT_2, TAU};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion};
 
 use crate::cloud::{Point, distance_sq};
+use crate::freedom::Freedom;
 use crate::random::Stream;
+use crate::rigid::Rigid;
 
-/// `n` rotations spread evenly over all of SO(3), turned together at random.
-///
+/// Rotations spread evenly over those that are free, turned together at random: `n` over all of
+/// SO(3), or about as dense round the vertical of levelled clouds.
+pub(super) fn rotations(n: usize, freedom: Freedom, stream: &mut Stream) -> Vec<Matrix3<f64>> {
+    /// A descent goes on turning: yaws this many times as dense as needed catch narrow basins.
+    const YAWS: f64 = 6.0;
+    match freedom {
+        Freedom::Rigid | Freedom::Similarity => all_rotations(n, stream),
+        Freedom::Levelled => {
+            let n = (YAWS * (n as f64).cbrt()).ceil();
+            let first = stream.uniform();
+            (0..n as usize)
+                .map(|i| Rigid::from_euler([0.0, 0.0, TAU * (i as f64 + first) / n], [0.0; 3]))
+                .map(|turn| turn.rotation)
+                .collect()
+        }
+    }
+}
+
 /// Source: Alexa (2022), super-Fibonacci spirals.
-pub(super) fn rotations(n: usize, stream: &mut Stream) -> Vec<Matrix3<f64>> {
+fn all_rotations(n: usize, stream: &mut Stream) -> Vec<Matrix3<f64>> {
     const PSI: f64 = 1.533_751_168_755_204_2;
     let frame = random_rotation(stream);
     (0..n)
@@ -32,8 +50,23 @@ pub(super) fn rotations(n: usize, stream: &mut Stream) -> Vec<Matrix3<f64>> {
         .collect()
 }
 
+/// A rotation drawn uniformly from those that are free, and a place drawn from the fixed cloud.
+pub(super) fn random_pose(fixed: &[Point], freedom: Freedom, stream: &mut Stream) -> Rigid {
+    let rotation = match freedom {
+        Freedom::Levelled => {
+            Rigid::from_euler([0.0, 0.0, TAU * stream.uniform()], [0.0; 3]).rotation
+        }
+        _ => random_rotation(stream).to_rotation_matrix().into_inner(),
+    };
+    let place = (stream.uniform() * fixed.len() as f64) as usize;
+    Rigid {
+        rotation,
+        translation: fixed[place].into(),
+    }
+}
+
 /// A rotation drawn uniformly from SO(3).
-pub(super) fn random_rotation(stream: &mut Stream) -> UnitQuaternion<f64> {
+fn random_rotation(stream: &mut Stream) -> UnitQuaternion<f64> {
     let [w, x, y, z] = std::array::from_fn(|_| stream.normal());
     UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
 }
@@ -88,7 +121,7 @@ mod tests {
     fn rotations_cover_the_group_evenly() {
         // Any rotation has a start within 30° among 960: half the width of their cells is 20°.
         let mut stream = Stream::new(1, "test", 0);
-        let starts = rotations(960, &mut stream);
+        let starts = rotations(960, Freedom::Rigid, &mut stream);
         for _ in 0..200 {
             let wanted = random_rotation(&mut stream)
                 .to_rotation_matrix()

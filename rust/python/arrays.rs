@@ -12,6 +12,7 @@ use pyo3::prelude::*;
 use crate::cloud::Point;
 use crate::error::Error;
 use crate::rigid::Rigid;
+use crate::similarity::Similarity;
 
 /// An array that is read only while the function runs.
 pub(super) type ReadArray<'py> = PyReadonlyArray2<'py, f64>;
@@ -52,8 +53,8 @@ pub(super) fn from_points(py: Python<'_>, points: Vec<Point>) -> PyResult<Bound<
 }
 
 /// A (4, 4) array.
-pub(super) fn from_pose<'py>(py: Python<'py>, pose: &Rigid) -> Bound<'py, PyAny> {
-    let rows = pose.to_matrix4();
+pub(super) fn from_pose<'py>(py: Python<'py>, pose: impl Into<Similarity>) -> Bound<'py, PyAny> {
+    let rows = pose.into().to_matrix4();
     PyArray2::from_owned_array(py, numpy::ndarray::arr2(&rows)).into_any()
 }
 

@@ -1,0 +1,257 @@
+//! Poses proposed by points whose surroundings look alike in both clouds.
+//!
+//! Most matches of descriptors are wrong. Right ones keep their distances and the angles between
+//! their normals from one cloud to the other: they form a dense spot in the graph of matches that
+//! agree with each other, and each spot proposes a pose.
+//! Source: mutual matches and a compatibility graph as in Leordeanu & Hebert (2005) and Chen et al.
+//! (2022, second-order measure); ours in its details.
+
+use crate::cloud::{Point, distance_sq};
+use crate::descriptors::{Described, Descriptor, similarity};
+use crate::error::Result;
+use crate::freedom::Freedom;
+use crate::kabsch::PairSums;
+use crate::parallel;
+use crate::progress::Progress;
+use crate::rigid::Rigid;
+use crate::surface_cloud::SurfaceCloud;
+
+use super::differ_rigid;
+
+/// As shares of the unit: the voxel of the described clouds, where normals and descriptors look.
+const VOXEL: f64 = 0.02;
+const NORMAL_RADIUS: f64 = 0.03;
+const RADIUS: f64 = 0.075;
+/// Matching costs the product of the numbers of points: larger clouds are described more coarsely.
+const MAX_PRODUCT: f64 = 1e8;
+
+const MAX_MATCHES: usize = 2000;
+const N_SEEDS: usize = 200;
+const N_MATES: usize = 20;
+const MAX_HYPOTHESES: usize = 60;
+/// Matches agree where distances differ by less than this many voxels, and the angles between
+/// normals by less than this.
+const TOLERANCE_IN_VOXELS: f64 = 1.5;
+const ANGLE_RAD: f64 = 23.0 * std::f64::consts::PI / 180.0;
+const SAME_RAD: f64 = 8.0 * std::f64::consts::PI / 180.0;
+
+/// A pose, and how many matches it explains.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Hypothesis {
+    pub(super) pose: Rigid,
+    pub(super) consensus: usize,
+}
+
+/// Proposes poses of the moving cloud in the fixed one, those that explain most matches first.
+pub(super) fn propose(
+    moving: &SurfaceCloud,
+    fixed: &SurfaceCloud,
+    unit_m: f64,
+    freedom: Freedom,
+    progress: &Progress<'_>,
+) -> Result<Vec<Hypothesis>> {
+    let describe = |cloud: &SurfaceCloud, voxel_m: f64| {
+        let (normal_m, radius_m) = (NORMAL_RADIUS * unit_m, RADIUS * unit_m);
+        Described::new(
+            cloud,
+            voxel_m,
+            normal_m.max(1.5 * voxel_m),
+            radius_m.max(3.75 * voxel_m),
+            progress,
+        )
+    };
+    let mut voxel_m = VOXEL * unit_m;
+    let (mut a, mut b) = (describe(moving, voxel_m)?, describe(fixed, voxel_m)?);
+    let product = a.len() as f64 * b.len() as f64;
+    if product > MAX_PRODUCT {
+        // Points grow with the square of the voxel's edge, their product with the fourth power.
+        voxel_m *= (product / MAX_PRODUCT).powf(0.25);
+        (a, b) = (describe(moving, voxel_m)?, describe(fixed, voxel_m)?);
+    }
+    let matches = mutual_matches(&a, &b);
+    let tolerance_m = TOLERANCE_IN_VOXELS * voxel_m;
+    let graph = Graph::new(&a, &b, &matches, tolerance_m, freedom);
+    progress.check()?;
+    let pairs: Vec<(Point, Point)> = matches
+        .iter()
+        .map(|m| (a.points[m.0 as usize], b.points[m.1 as usize]))
+        .collect();
+    let seeds = graph.seeds();
+    let found = parallel::map(seeds.len(), |i| {
+        let mates = graph.mates(seeds[i]);
+        pose_from(&pairs, &mates, tolerance_m, freedom)
+    });
+    let mut found: Vec<Hypothesis> = found.into_iter().flatten().collect();
+    found.sort_by_key(|hypothesis| std::cmp::Reverse(hypothesis.consensus));
+    let mut kept: Vec<Hypothesis> = Vec::new();
+    for hypothesis in found {
+        let is_new =
+            |k: &Hypothesis| differ_rigid(&k.pose, &hypothesis.pose, SAME_RAD, 2.0 * tolerance_m);
+        if kept.len() < MAX_HYPOTHESES && kept.iter().all(is_new) {
+            kept.push(hypothesis);
+        }
+    }
+    Ok(kept)
+}
+
+/// Pairs of points that are each other's most similar one, the most similar pairs first.
+fn mutual_matches(a: &Described, b: &Described) -> Vec<(u32, u32)> {
+    let forth = most_similar(&a.descriptors, &b.descriptors);
+    let back = most_similar(&b.descriptors, &a.descriptors);
+    let mut mutual: Vec<(f32, u32, u32)> = (0_u32..)
+        .zip(&forth)
+        .filter(|(i, (_, j))| back.get(*j as usize).is_some_and(|(_, k)| k == i))
+        .map(|(i, (score, j))| (*score, i, *j))
+        .collect();
+    mutual.sort_by(|a, b| b.0.total_cmp(&a.0));
+    mutual.truncate(MAX_MATCHES);
+    mutual.into_iter().map(|(_, i, j)| (i, j)).collect()
+}
+
+/// For each of `from` the most similar of `to`, in blocks that stay in the cache.
+fn most_similar(from: &[Descriptor], to: &[Descriptor]) -> Vec<(f32, u32)> {
+    const BLOCK: usize = 128;
+    let blocks = parallel::map(from.len().div_ceil(BLOCK), |block| {
+        let from = &from[block * BLOCK..((block + 1) * BLOCK).min(from.len())];
+        let mut best = vec![(f32::NEG_INFINITY, u32::MAX); from.len()];
+        for (first, to) in to.chunks(BLOCK).enumerate() {
+            for (best, a) in best.iter_mut().zip(from) {
+                for (j, b) in to.iter().enumerate() {
+                    let score = similarity(a, b);
+                    if score > best.0 {
+                        *best = (score, (first * BLOCK + j) as u32);
+                    }
+                }
+            }
+        }
+        best
+    });
+    blocks.into_iter().flatten().collect()
+}
+
+/// Which matches agree with which, a bit each.
+struct Graph {
+    words: usize,
+    bits: Vec<u64>,
+    n: usize,
+}
+
+impl Graph {
+    fn new(
+        a: &Described,
+        b: &Described,
+        matches: &[(u32, u32)],
+        tolerance_m: f64,
+        freedom: Freedom,
+    ) -> Self {
+        let n = matches.len();
+        let words = n.div_ceil(64);
+        let angle = |normals: &[Point], i: u32, j: u32| {
+            let (p, q) = (normals[i as usize], normals[j as usize]);
+            (p[0] * q[0] + p[1] * q[1] + p[2] * q[2])
+                .clamp(-1.0, 1.0)
+                .acos()
+        };
+        let agree = |i: usize, j: usize| {
+            let ((a1, b1), (a2, b2)) = (matches[i], matches[j]);
+            let (p, q) = (&a.points[a1 as usize], &a.points[a2 as usize]);
+            let (r, s) = (&b.points[b1 as usize], &b.points[b2 as usize]);
+            let (here, there) = (distance_sq(p, q).sqrt(), distance_sq(r, s).sqrt());
+            // Pairs that lie close together agree whatever the pose.
+            if (here - there).abs() > tolerance_m || here < 2.0 * tolerance_m {
+                return false;
+            }
+            if freedom == Freedom::Levelled && ((p[2] - q[2]) - (r[2] - s[2])).abs() > tolerance_m {
+                return false;
+            }
+            (angle(&a.normals, a1, a2) - angle(&b.normals, b1, b2)).abs() < ANGLE_RAD
+        };
+        let rows = parallel::map(n, |i| {
+            let mut row = vec![0_u64; words];
+            for j in (0..n).filter(|j| *j != i) {
+                if agree(i, j) {
+                    row[j / 64] |= 1 << (j % 64);
+                }
+            }
+            row
+        });
+        Self {
+            words,
+            bits: rows.into_iter().flatten().collect(),
+            n,
+        }
+    }
+
+    fn row(&self, i: usize) -> &[u64] {
+        &self.bits[i * self.words..(i + 1) * self.words]
+    }
+
+    fn in_common(&self, i: usize, j: usize) -> u32 {
+        let pairs = self.row(i).iter().zip(self.row(j));
+        pairs.map(|(a, b)| (a & b).count_ones()).sum()
+    }
+
+    fn neighbors(&self, i: usize) -> impl Iterator<Item = usize> {
+        (0..self.n).filter(move |j| self.row(i)[j / 64] >> (j % 64) & 1 == 1)
+    }
+
+    /// The matches in the densest spots: those with most triangles.
+    fn seeds(&self) -> Vec<usize> {
+        let triangles = parallel::map(self.n, |i| {
+            self.neighbors(i)
+                .map(|j| u64::from(self.in_common(i, j)))
+                .sum::<u64>()
+        });
+        let mut order: Vec<usize> = (0..self.n).filter(|i| triangles[*i] > 0).collect();
+        order.sort_by_key(|i| std::cmp::Reverse(triangles[*i]));
+        order.truncate(N_SEEDS);
+        order
+    }
+
+    /// The seed and the matches that have most agreeing matches in common with it.
+    fn mates(&self, seed: usize) -> Vec<usize> {
+        let mut mates: Vec<usize> = self.neighbors(seed).collect();
+        mates.sort_by_cached_key(|j| std::cmp::Reverse(self.in_common(seed, *j)));
+        mates.truncate(N_MATES);
+        mates.push(seed);
+        mates
+    }
+}
+
+/// The pose of some matches, fitted again to all that it explains.
+fn pose_from(
+    pairs: &[(Point, Point)],
+    mates: &[usize],
+    tolerance_m: f64,
+    freedom: Freedom,
+) -> Option<Hypothesis> {
+    const REFITS: usize = 2;
+    let solve = |sums: &PairSums| match freedom {
+        Freedom::Levelled => sums.solve_levelled(),
+        Freedom::Rigid | Freedom::Similarity => sums.solve(),
+    };
+    let mut sums = PairSums::default();
+    for i in mates {
+        sums.add(&pairs[*i].0, &pairs[*i].1, 1.0);
+    }
+    let mut pose = solve(&sums)?;
+    let explained = |pose: &Rigid| {
+        let max_sq = tolerance_m * tolerance_m;
+        let pose = *pose;
+        pairs
+            .iter()
+            .filter(move |(p, q)| distance_sq(&pose.apply(p), q) <= max_sq)
+    };
+    for _ in 0..REFITS {
+        let mut sums = PairSums::default();
+        explained(&pose).for_each(|(p, q)| sums.add(p, q, 1.0));
+        match solve(&sums) {
+            Some(better) => pose = better,
+            None => break,
+        }
+    }
+    Some(Hypothesis {
+        consensus: explained(&pose).count(),
+        pose,
+    })
+}

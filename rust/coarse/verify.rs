@@ -1,0 +1,292 @@
+//! Few poses, looked at closely: refined, scored in both directions, ranked, compared with rivals.
+
+use super::descent::{self, Fixed, Shrinking};
+use super::{Deadline, differ, starts};
+use crate::distance_field::NearestGrid;
+use crate::error::{Error, Result};
+use crate::fitness::{Agreement, Tolerance, Witnesses, agreement, off_plane_noise_m};
+use crate::freedom::Freedom;
+use crate::near_field::NearField;
+use crate::parallel;
+use crate::progress::{Event, Progress, Stage};
+use crate::random::Stream;
+use crate::rigid::Rigid;
+use crate::similarity::Similarity;
+use crate::surface_cloud::SurfaceCloud;
+
+/// Points of the moving cloud that take part in the refinement.
+const N_REFINED: usize = 1500;
+/// Poses brought to rest in one turn, and turns at most.
+const N_FINALISTS: usize = 4;
+const MAX_FINISHING_TURNS: usize = 10;
+
+const REFINE_POINTS: Shrinking = Shrinking {
+    first: 0.06,
+    last: 0.03,
+    n_steps: 10,
+};
+const REFINE_PLANES: Shrinking = Shrinking {
+    first: 0.03,
+    last: 0.015,
+    n_steps: 7,
+};
+const FINISH: Shrinking = Shrinking {
+    first: 0.05,
+    last: 0.006,
+    n_steps: 24,
+};
+
+/// A partner farther away than this does not verify a pose.
+const VERIFY_DISTANCE: f64 = 0.01;
+/// Clouds that match exactly are still not compared more closely than this.
+const LEAST_OFF_PLANE: f64 = 0.0005;
+/// Rivals that are compared with the best pose; the next ones scored less in the first count.
+const N_RIVALS: usize = 8;
+/// Random poses that tell what chance reaches.
+const N_CHANCE: usize = 12;
+
+/// Cells of the near field: as fine as the voxels.
+const FINE_CELL: f64 = 1.0 / 250.0;
+const MAX_BLOCKS: usize = 4_000_000;
+
+/// Poses closer than this to the best one are the best one, not its rival.
+const SAME_POSE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+const SAME_POSE: f64 = 0.02;
+
+/// A pose that was looked at closely.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Verified {
+    /// Takes the moving cloud to the fixed one.
+    pub(super) pose: Similarity,
+    pub(super) agreement: Agreement,
+    /// Whether it was brought to rest.
+    is_final: bool,
+}
+
+/// Looks closely at poses and remembers what it saw.
+#[derive(Debug)]
+pub(super) struct Verifier<'a> {
+    moving: &'a Witnesses,
+    fixed: &'a Witnesses,
+    moving_field: NearField,
+    fixed_field: NearField,
+    fixed_grid: &'a NearestGrid,
+    unit_m: f64,
+    freedom: Freedom,
+    /// By falling score.
+    verified: Vec<Verified>,
+    /// Best score so far, after each pose.
+    pub(super) history: Vec<f64>,
+    pub(super) n_evaluations: usize,
+}
+
+impl<'a> Verifier<'a> {
+    pub(super) fn new(
+        moving: &'a Witnesses,
+        fixed: &'a Witnesses,
+        fixed_grid: &'a NearestGrid,
+        unit_m: f64,
+        freedom: Freedom,
+    ) -> Result<Self> {
+        let field = |cloud: &SurfaceCloud| {
+            let (cell_m, reach_m) = (FINE_CELL * unit_m, VERIFY_DISTANCE * unit_m);
+            NearField::new(cloud.points(), cell_m, reach_m, MAX_BLOCKS).ok_or_else(|| {
+                Error::NoSolution {
+                    reason: "a cloud without points has no pose".into(),
+                }
+            })
+        };
+        Ok(Self {
+            moving,
+            fixed,
+            moving_field: field(&moving.cloud)?,
+            fixed_field: field(&fixed.cloud)?,
+            fixed_grid,
+            unit_m,
+            freedom,
+            verified: Vec::new(),
+            history: Vec::new(),
+            n_evaluations: 0,
+        })
+    }
+
+    /// Refines `poses`, scores each, and brings the leaders of all poses so far to rest. The first
+    /// `n_certain` of them are looked at even when the deadline is over.
+    pub(super) fn look_at(
+        &mut self,
+        poses: &[Rigid],
+        n_certain: usize,
+        deadline: Deadline,
+        progress: &Progress<'_>,
+    ) -> Result<()> {
+        let refined = parallel::map(poses.len(), |i| {
+            progress.check()?;
+            if i >= n_certain && deadline.is_over() {
+                return Ok(None);
+            }
+            Ok(Some(self.scored(self.refined(&poses[i]), false)))
+        });
+        // Somebody may have said stop meanwhile: then nothing more is told.
+        let refined = refined.into_iter().collect::<Result<Vec<_>>>()?;
+        for (i, verified) in refined.into_iter().enumerate() {
+            let Some(verified) = verified else { continue };
+            let best = self.best_score_so_far().max(verified.agreement.score);
+            self.history.push(best);
+            self.verified.push(verified);
+            self.n_evaluations += REFINE_POINTS.n_steps + REFINE_PLANES.n_steps + 1;
+            progress.emit(&Event::Advanced {
+                stage: Stage::Coarse,
+                done: i + 1,
+                total: poses.len(),
+                best: Some(best),
+            })?;
+        }
+        self.rank();
+        self.finish_leaders(deadline, progress)?;
+        let best = self.best().map_or(0.0, |v| v.agreement.score);
+        self.history.push(best.max(self.best_score_so_far()));
+        Ok(())
+    }
+
+    fn best_score_so_far(&self) -> f64 {
+        self.history.last().copied().unwrap_or(0.0)
+    }
+
+    fn refined(&self, start: &Rigid) -> Similarity {
+        let points = self.moving.cloud.sample(N_REFINED);
+        let (grid, unit_m, freedom) = (self.fixed_grid, self.unit_m, self.freedom);
+        let pose = descent::to_points(points, grid, *start, freedom, REFINE_POINTS.times(unit_m));
+        self.to_planes(pose.into(), None, REFINE_PLANES)
+    }
+
+    fn to_planes(
+        &self,
+        start: Similarity,
+        field: Option<&NearField>,
+        truncation: Shrinking,
+    ) -> Similarity {
+        let fixed = Fixed {
+            grid: self.fixed_grid,
+            field,
+        };
+        descent::to_planes(
+            self.moving.cloud.sample(N_REFINED),
+            &self.moving.cloud.surfaces,
+            fixed,
+            start,
+            self.freedom,
+            truncation.times(self.unit_m),
+        )
+    }
+
+    /// Brings the leading poses to rest until the best one and its best rivals are: a pose that
+    /// slides into the best one was no rival.
+    fn finish_leaders(&mut self, deadline: Deadline, progress: &Progress<'_>) -> Result<()> {
+        for _ in 0..MAX_FINISHING_TURNS {
+            let leaders: Vec<Similarity> = self
+                .distinct()
+                .take(N_FINALISTS)
+                .filter(|v| !v.is_final)
+                .map(|v| v.pose)
+                .collect();
+            if leaders.is_empty() || deadline.is_over() {
+                break;
+            }
+            let finished = parallel::map(leaders.len(), |i| {
+                progress.check()?;
+                let pose = self.to_planes(leaders[i], Some(&self.fixed_field), FINISH);
+                Ok(self.scored(pose, true))
+            });
+            let finished = finished.into_iter().collect::<Result<Vec<_>>>()?;
+            self.n_evaluations += leaders.len() * (FINISH.n_steps + 1);
+            // What was brought to rest replaces what it came from.
+            self.verified.retain(|v| !leaders.contains(&v.pose));
+            self.verified.extend(finished);
+            self.rank();
+        }
+        Ok(())
+    }
+
+    fn scored(&self, pose: Similarity, is_final: bool) -> Verified {
+        let tolerance = Tolerance::within(VERIFY_DISTANCE * self.unit_m);
+        Verified {
+            pose,
+            agreement: self.agreement(&pose, tolerance),
+            is_final,
+        }
+    }
+
+    fn agreement(&self, pose: &Similarity, tolerance: Tolerance) -> Agreement {
+        agreement(
+            (self.moving, &self.moving_field),
+            (self.fixed, &self.fixed_field),
+            pose,
+            tolerance,
+        )
+    }
+
+    fn rank(&mut self) {
+        self.verified
+            .sort_by(|a, b| b.agreement.score.total_cmp(&a.agreement.score));
+    }
+
+    /// The best pose so far.
+    pub(super) fn best(&self) -> Option<&Verified> {
+        self.verified.first()
+    }
+
+    /// Poses, best first, each clearly different from every better one.
+    pub(super) fn distinct(&self) -> impl Iterator<Item = &Verified> {
+        let mut kept: Vec<&Verified> = Vec::new();
+        for verified in &self.verified {
+            let is_new = |k: &&Verified| {
+                differ(
+                    &k.pose,
+                    &verified.pose,
+                    SAME_POSE_RAD,
+                    SAME_POSE * self.unit_m,
+                )
+            };
+            if kept.iter().all(is_new) {
+                kept.push(verified);
+            }
+        }
+        kept.into_iter()
+    }
+
+    /// Score of the best pose by that of its best rival, both at the accuracy that the clouds show
+    /// at the best pose: at a wrong pose they lie off each other's planes and leave room for rivals.
+    pub(super) fn ambiguity_ratio(&self) -> f64 {
+        let Some(best) = self.best() else {
+            return f64::NAN;
+        };
+        let distance_m = VERIFY_DISTANCE * self.unit_m;
+        let fixed = (self.fixed, &self.fixed_field);
+        let noise_m = off_plane_noise_m(self.moving, fixed, &best.pose, distance_m);
+        let off_plane_m = noise_m.clamp(LEAST_OFF_PLANE * self.unit_m, distance_m);
+        let tolerance = Tolerance {
+            distance_m,
+            off_plane_m,
+        };
+        let poses: Vec<Similarity> = self.distinct().take(N_RIVALS + 1).map(|v| v.pose).collect();
+        let scores = parallel::map(poses.len(), |i| self.agreement(&poses[i], tolerance).score);
+        let rival = scores[1..].iter().copied().fold(0.0, f64::max);
+        if rival > 0.0 {
+            scores[0] / rival
+        } else {
+            f64::INFINITY
+        }
+    }
+
+    /// What chance reaches: the best score of a few random poses, each refined as every other pose.
+    pub(super) fn chance_score(&self, seed: u64) -> f64 {
+        let mut stream = Stream::new(seed, "chance", 0);
+        let poses: Vec<Rigid> = (0..N_CHANCE)
+            .map(|_| starts::random_pose(self.fixed.cloud.points(), self.freedom, &mut stream))
+            .collect();
+        let scores = parallel::map(poses.len(), |i| {
+            self.scored(self.refined(&poses[i]), false).agreement.score
+        });
+        scores.into_iter().fold(0.0, f64::max)
+    }
+}

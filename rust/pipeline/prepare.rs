@@ -1,0 +1,134 @@
+//! Two clouds made comparable: one voxel for both, surfaces, and witnesses.
+
+use super::VOXELS_PER_EXTENT;
+use crate::cloud::{Cloud, MIN_POINTS, Point};
+use crate::coarse;
+use crate::config::Config;
+use crate::error::{Error, Result};
+use crate::fitness::Witnesses;
+use crate::progress::Progress;
+use crate::similarity::Similarity;
+use crate::surface_cloud::SurfaceCloud;
+use crate::voxel::downsample;
+
+/// Two clouds as the search and the fine stage read them.
+#[derive(Debug)]
+pub(super) struct Prepared {
+    /// By which the source was multiplied beforehand.
+    pub(super) source_scale: f64,
+    pub(super) source_voxels: Cloud,
+    pub(super) target_voxels: Cloud,
+    pub(super) source: Witnesses,
+    pub(super) target: Witnesses,
+    /// The extent of the smaller cloud, which every derived length is a share of.
+    pub(super) unit_m: f64,
+    pub(super) voxel_size_m: f64,
+}
+
+impl Prepared {
+    /// Thins both clouds, the source multiplied by `source_scale`, and looks at their surfaces.
+    pub(super) fn new(
+        source: &Cloud,
+        target: &Cloud,
+        source_scale: f64,
+        config: &Config,
+        progress: &Progress<'_>,
+    ) -> Result<Self> {
+        let scaled;
+        let source = match source_scale {
+            1.0 => source,
+            _ => {
+                scaled = grown(source, source_scale);
+                &scaled
+            }
+        };
+        let unit_m = extent_of_smaller(source, target)?;
+        let voxel_size_m = config
+            .voxel
+            .voxel_size_m
+            .unwrap_or(unit_m / VOXELS_PER_EXTENT);
+        let source_voxels = downsample(source, voxel_size_m, progress)?.cloud;
+        let target_voxels = downsample(target, voxel_size_m, progress)?.cloud;
+        let surfaces = [
+            SurfaceCloud::new(&source_voxels, config.seed, progress)?,
+            SurfaceCloud::new(&target_voxels, config.seed, progress)?,
+        ];
+        let [source, target] = Witnesses::of_both(
+            surfaces,
+            coarse::N_WITNESSES,
+            coarse::WITNESS_RADIUS * unit_m,
+            voxel_size_m,
+            progress,
+        )?;
+        Ok(Self {
+            source_scale,
+            source_voxels,
+            target_voxels,
+            source,
+            target,
+            unit_m,
+            voxel_size_m,
+        })
+    }
+
+    /// Where the source's pivot lies in the coordinates given.
+    pub(super) fn source_pivot(&self) -> Point {
+        self.source.cloud.origin.map(|v| v / self.source_scale)
+    }
+
+    /// Where the target's pivot lies in the coordinates given.
+    pub(super) fn target_pivot(&self) -> Point {
+        self.target.cloud.origin
+    }
+
+    /// The pose about the pivots of the clouds that were given, from one of the prepared ones.
+    pub(super) fn about_pivots(&self, pose: &Similarity) -> Similarity {
+        Similarity {
+            scale: self.source_scale * pose.scale,
+            ..*pose
+        }
+    }
+}
+
+/// The cloud multiplied by `scale`.
+fn grown(cloud: &Cloud, scale: f64) -> Cloud {
+    let grow = |p: &Point| p.map(|v| scale * v);
+    Cloud::from_local(
+        grow(&cloud.origin()),
+        cloud.points().iter().map(grow).collect(),
+    )
+}
+
+/// The points of `cloud` between two corners, in the coordinates given.
+///
+/// # Errors
+/// [`Error::TooFewPoints`] where hardly any lie there.
+pub(super) fn cropped(what: &str, cloud: &Cloud, corners: &[Point; 2]) -> Result<Cloud> {
+    let (low, high) = (corners[0], corners[1]);
+    let origin = cloud.origin();
+    let is_inside = |p: &&Point| {
+        (0..3).all(|axis| (low[axis]..=high[axis]).contains(&(p[axis] + origin[axis])))
+    };
+    let points: Vec<Point> = cloud.points().iter().filter(is_inside).copied().collect();
+    if points.len() < MIN_POINTS {
+        return Err(Error::TooFewPoints {
+            what: format!("{what}, in its crop,"),
+            found: points.len(),
+            needed: MIN_POINTS,
+        });
+    }
+    Ok(Cloud::from_local(origin, points))
+}
+
+fn extent_of_smaller(source: &Cloud, target: &Cloud) -> Result<f64> {
+    for (what, cloud) in [("source cloud", source), ("target cloud", target)] {
+        if cloud.len() < MIN_POINTS {
+            return Err(Error::TooFewPoints {
+                what: format!("{what}, after outlier removal,"),
+                found: cloud.len(),
+                needed: MIN_POINTS,
+            });
+        }
+    }
+    Ok(source.extent_m().min(target.extent_m()))
+}

@@ -1,0 +1,99 @@
+//! Stage 4 of the route: the search that the mode asks for, at one scale or at several.
+
+use super::prepare::Prepared;
+use crate::cloud::{Cloud, Point};
+use crate::coarse::{self, CoarseResult, Deadline, Problem, StandingOut};
+use crate::config::{Config, Mode};
+use crate::error::Result;
+use crate::freedom::Freedom;
+use crate::keypoints::{self, RADIUS_IN_VOXELS};
+use crate::neighbors::NeighborIndex;
+use crate::progress::{Progress, Stage};
+use crate::registration::StageLog;
+
+/// Scales that are searched lie at most so many times apart: the refinement of poses bridges half.
+const SCALE_STEP: f64 = 1.2;
+/// Beyond this a lead over the rivals says nothing more about which scale is right.
+const FULL_LEAD: f64 = 3.0;
+
+/// Finds the pose between the prepared clouds; `log` is told of the stages.
+pub(super) fn search(
+    prepared: &Prepared,
+    config: &Config,
+    deadline: Deadline,
+    log: &mut StageLog<'_>,
+    progress: &Progress<'_>,
+) -> Result<CoarseResult> {
+    let (n_source, n_target) = (prepared.source.cloud.len(), prepared.target.cloud.len());
+    match config.mode {
+        Mode::Robust => {
+            log.begin(Stage::Coarse, n_source, n_target)?;
+            let enough = StandingOut {
+                inlier_share: config.verdict.accept_inlier_share,
+                ambiguity_ratio: config.verdict.accept_ambiguity_ratio,
+                share_times_ratio: config.verdict.accept_share_times_ratio,
+            };
+            let problem = Problem {
+                source: &prepared.source,
+                target: &prepared.target,
+                unit_m: prepared.unit_m,
+                freedom: config.dof,
+            };
+            let options = &config.coarse;
+            coarse::search_robust(&problem, options, enough, deadline, config.seed, progress)
+        }
+        Mode::Paper => {
+            log.begin(Stage::Keypoints, n_source, n_target)?;
+            let of_source = (&prepared.source_voxels, prepared.source.cloud.origin);
+            let of_target = (&prepared.target_voxels, prepared.target.cloud.origin);
+            let voxel_size_m = prepared.voxel_size_m;
+            let source = keypoints(of_source.0, of_source.1, voxel_size_m, config, progress)?;
+            let target = keypoints(of_target.0, of_target.1, voxel_size_m, config, progress)?;
+            log.end(source.len(), target.len());
+            log.begin(Stage::Coarse, source.len(), target.len())?;
+            coarse::search_paper(&source, &target, &config.paper, config.seed, progress)
+        }
+    }
+}
+
+fn keypoints(
+    cloud: &Cloud,
+    about: Point,
+    voxel_size_m: f64,
+    config: &Config,
+    progress: &Progress<'_>,
+) -> Result<Vec<Point>> {
+    let radius_m = RADIUS_IN_VOXELS * voxel_size_m;
+    let index = NeighborIndex::new(cloud.points());
+    let found = keypoints::detect(cloud, &index, &config.keypoints, radius_m, progress)?;
+    let local = |i: &u32| {
+        let p = cloud.points()[*i as usize];
+        std::array::from_fn(|axis| p[axis] + (cloud.origin()[axis] - about[axis]))
+    };
+    Ok(found.indices.iter().map(local).collect())
+}
+
+/// The scales at which the search is begun: 1, or evenly spaced over the bounds.
+pub(super) fn scales(config: &Config) -> Vec<f64> {
+    let [low, high] = config.scale_bounds;
+    match config.dof {
+        Freedom::Levelled | Freedom::Rigid => vec![1.0],
+        Freedom::Similarity => {
+            let n = ((high / low).ln() / SCALE_STEP.ln()).ceil().max(1.0);
+            (0..n as usize)
+                .map(|i| low * (high / low).powf((i as f64 + 0.5) / n))
+                .collect()
+        }
+    }
+}
+
+/// How well a search at one scale went, to be compared with others.
+pub(super) fn merit(found: &CoarseResult) -> f64 {
+    let lead = found.ambiguity_ratio;
+    found.inlier_share()
+        * if lead.is_nan() {
+            1.0
+        } else {
+            lead.min(FULL_LEAD)
+        }
+}
