@@ -269,10 +269,10 @@ def noise_clouds(rng: Generator) -> tuple[Array, Array, bool]:
 # --- sites -------------------------------------------------------------------------------------------
 
 
-def surveys(seed: int, area_ratio: float, overlap: float = 1.0) -> tuple[Array, Array]:
+def surveys(seed: int, area_ratio: float, overlap: float = 1.0, size_m: float = 80.0) -> tuple[Array, Array]:
     """Return photogrammetry and scanner survey of one site in one frame."""
     pair = make_pair(
-        size_m=80.0,
+        size_m=size_m,
         area_ratio=area_ratio,
         overlap=overlap,
         n_photogrammetry_points=int(20_000 * area_ratio),
@@ -286,6 +286,14 @@ def surveys(seed: int, area_ratio: float, overlap: float = 1.0) -> tuple[Array, 
 
 
 def other_sites(rng: Generator) -> tuple[Array, Array, bool]:
+    """Make sites of other ground and other size, so of other shape."""
+    seeds, area_ratio = rng.choice(1000, 2, replace=False), float(rng.choice([1.0, 2.0, 4.0]))
+    size_m = float(rng.choice([100.0, 125.0, 150.0]))
+    return surveys(int(seeds[0]), area_ratio, size_m=size_m)[0], surveys(int(seeds[1]), 1.0)[1], False
+
+
+def sites_of_one_plan(rng: Generator) -> tuple[Array, Array, bool]:
+    """Make sites of other ground and one size: dam, ramp and roads lie within metres of each other."""
     seeds, area_ratio = rng.choice(1000, 2, replace=False), float(rng.choice([1.0, 2.0, 4.0]))
     return surveys(int(seeds[0]), area_ratio)[0], surveys(int(seeds[1]), 1.0)[1], False
 
@@ -322,7 +330,8 @@ MAKERS: dict[Maker, int] = {
     other_bodies: 6,
     mirrored_bodies: 6,
     noise_clouds: 6,
-    other_sites: 6,
+    sites_of_one_plan: 6,
     mirrored_sites: 6,
     sites_without_overlap: 4,
+    other_sites: 6,
 }
