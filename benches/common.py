@@ -12,6 +12,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tmchho
-from tmchho.simulate import random_pose
+from tmchho.simulate import make_pair, random_pose
 
 Array = NDArray[np.float64]
 
 TOLERANCE_DEG = 2.0
 TOLERANCE_BY_DIAGONAL = 0.01
+SCALE_TOLERANCE = 0.005
+MAX_SCALE = 2.0
+SITE = "simulated site"
 VERDICTS = ("accepted", "review", "rejected")
 
 
@@ -45,15 +49,30 @@ class KnownPair:
         """Diagonal of the target's box."""
         return diagonal_of(self.target)
 
-    def start(self, seed: int) -> tuple[Array, Array]:
-        """Return the source turned and shifted at random, and the true pose from there."""
-        away = random_pose(np.random.default_rng(seed), self.diagonal)
+    def start(self, seed: int, dof: int = 6) -> tuple[Array, Array]:
+        """Return the source moved at random, and the true pose from there.
+
+        Turned over all of SO(3) and shifted by up to one diagonal; with 4 degrees of freedom turned about the
+        vertical only, with 7 also shrunk or grown.
+        """
+        rng = np.random.default_rng(seed)
+        away = random_pose(rng, self.diagonal)
+        if dof == 4:
+            yaw = rng.uniform(0, 2 * np.pi)
+            cos, sin = np.cos(yaw), np.sin(yaw)
+            away[:3, :3] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
+        if dof == 7:
+            away[:3, :3] *= MAX_SCALE ** rng.uniform(-1, 1)
         return moved(away, self.source), self.target_from_source @ np.linalg.inv(away)
 
     def is_right(self, found: Array, wanted: Array, source: Array) -> bool:
         """Tell whether a pose of the moved source keeps to the tolerance."""
         rotation_deg, translation = pose_errors(found, wanted, source)
-        return rotation_deg <= self.tolerance_deg and translation <= self.tolerance_m
+        return (
+            rotation_deg <= self.tolerance_deg
+            and translation <= self.tolerance_m
+            and abs(scale_of(found) / scale_of(wanted) - 1) <= SCALE_TOLERANCE
+        )
 
 
 def diagonal_of(points: Array) -> float:
@@ -76,7 +95,11 @@ def pose_errors(found: Array, wanted: Array, source: Array) -> tuple[float, floa
     """Return how wrong a pose is: in degrees, and as the way by which it misses the source's middle."""
     middle = (source.min(axis=0) + source.max(axis=0))[None] / 2
     translation = float(np.linalg.norm(moved(found, middle) - moved(wanted, middle)))
-    return angle_deg(found[:3, :3] @ wanted[:3, :3].T), translation
+    return angle_deg(found[:3, :3] @ wanted[:3, :3].T / scale_of(found) / scale_of(wanted)), translation
+
+
+def scale_of(pose: Array) -> float:
+    return float(np.cbrt(np.linalg.det(pose[:3, :3])))
 
 
 def read_pairs(path: Path) -> list[KnownPair]:
@@ -109,6 +132,30 @@ def data_dir() -> Path | None:
     if not Path(folder).is_dir():
         raise SystemExit(f"TMCHHO_DATA names {folder}, which is no folder; correct or unset it")
     return Path(folder)
+
+
+def pair_names(files: Sequence[Path], n_sites: int, only: Sequence[str] | None) -> list[tuple[str, str]]:
+    """Return file and name of every pair: of the files, or else of `TMCHHO_DATA`, and of simulated sites."""
+    folder = data_dir()
+    if not files and folder is not None:
+        files = [folder / name / "pairs.json" for name in ("stanford", "survey")]
+    names = [(str(file), entry["name"]) for file in files for entry in json.loads(file.read_text())]
+    names += [("", f"{SITE} {seed}") for seed in range(n_sites)]
+    names = [(file, name) for file, name in names if not only or name in only]
+    if not names:
+        raise SystemExit("no pairs: name a pairs file, set TMCHHO_DATA, or ask for a simulated site")
+    return names
+
+
+@lru_cache(maxsize=1)
+def pair_by_name(file: str, name: str) -> KnownPair:
+    """Read one pair of a pairs file, or make the simulated site where there is no file."""
+    if file:
+        entries = json.loads(Path(file).read_text())
+        return read_pair(Path(file).parent, next(entry for entry in entries if entry["name"] == name))
+    made = make_pair(national_grid=False, pose="identity", seed=int(name.removeprefix(SITE)))
+    tolerance_m = TOLERANCE_BY_DIAGONAL * diagonal_of(made.target.xyz)
+    return KnownPair(name, made.source.xyz, made.target.xyz, np.eye(4), TOLERANCE_DEG, tolerance_m)
 
 
 def run_all(

@@ -19,29 +19,17 @@ import os
 import sys
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import (
-    TOLERANCE_BY_DIAGONAL,
-    TOLERANCE_DEG,
-    Array,
-    KnownPair,
-    data_dir,
-    diagonal_of,
-    read_pairs,
-    run_all,
-)
+from common import Array, pair_by_name, pair_names, run_all
 from peers import KISS_MATCHER, PAPER, PEERS, CommonIcp, missing_packages, paper_mode
 
 import tmchho
-from tmchho.simulate import make_pair
 
 SEARCH, WHOLE = "tmchho, search", "tmchho"
 SEARCH_STAGES = ("outliers", "voxel", "keypoints", "coarse")
-SITE = "simulated site"
 
 
 @dataclass(frozen=True)
@@ -56,24 +44,8 @@ class Case:
     with_paper: bool
 
 
-@lru_cache(maxsize=1)
-def pair_of(file: str, name: str) -> KnownPair:
-    if file:
-        return next(pair for pair in read_pairs(Path(file)) if pair.name == name)
-    made = make_pair(national_grid=False, pose="identity", seed=int(name.removeprefix(SITE)))
-    target = made.target.xyz
-    return KnownPair(
-        name,
-        made.source.xyz,
-        target,
-        made.target_from_source,
-        TOLERANCE_DEG,
-        TOLERANCE_BY_DIAGONAL * diagonal_of(target),
-    )
-
-
 def run_once(case: Case) -> dict[str, Any]:
-    pair = pair_of(case.file, case.name)
+    pair = pair_by_name(case.file, case.name)
     source, wanted = pair.start(case.seed)
     voxel = case.voxel_share * pair.diagonal
     poses: dict[str, tuple[Array, float]] = {}
@@ -131,15 +103,7 @@ def main() -> int:
         parser.error(
             f"{' and '.join(missing_packages())} cannot be imported; run: pip install 'tmchho[peers]'"
         )
-    files = options.pairs
-    folder = data_dir()
-    if not files and folder is not None:
-        files = [folder / name / "pairs.json" for name in ("stanford", "survey")]
-    names = [(str(file), pair.name) for file in files for pair in read_pairs(file)]
-    names += [("", f"{SITE} {seed}") for seed in range(options.site)]
-    names = [(file, name) for file, name in names if not options.only or name in options.only]
-    if not names:
-        parser.error("no pairs: name a pairs file, or set TMCHHO_DATA")
+    names = pair_names(options.pairs, options.site, options.only)
     first = Case("", "", 0, 1, options.voxel, options.paper)
     by_pair: dict[str, dict[int, list[dict[str, Any]]]] = defaultdict(lambda: defaultdict(list))
     processors = sorted(os.sched_getaffinity(0))
