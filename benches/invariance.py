@@ -1,4 +1,4 @@
-"""By how much the pose changes with what must not matter: the unit, the place on Earth, the number of threads.
+"""How much the pose changes with what must not matter: unit, place on Earth, number of threads.
 
     python benches/invariance.py [PAIRS.json …] [--starts 1] [--site 1]
 
