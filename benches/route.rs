@@ -10,7 +10,9 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use tmchho::coarse::{RobustSearchOptions, StandingOut, search_robust};
 use tmchho::distance_field::NearestGrid;
 use tmchho::fitness::{self, Tolerance, Witnesses};
-use tmchho::icp::{IcpMethod, IcpOptions, icp};
+use tmchho::freedom::Freedom;
+use tmchho::icp::{Clouds, IcpMethod, IcpOptions, icp};
+use tmchho::observations::LocalObservations;
 use tmchho::point_to_plane::PlaneSums;
 use tmchho::progress::Progress;
 use tmchho::random::Stream;
@@ -78,9 +80,18 @@ impl Scene {
             max_distance_m: Some(REACH_M),
             ..IcpOptions::default()
         };
-        let (points, index, surfaces) = (source.points(), &target.index, &target.surfaces);
-        let silent = Progress::silent();
-        icp(points, index, surfaces, &self.nearly, &options, &silent)
+        let clouds = Clouds {
+            source: source.points(),
+            source_surfaces: &source.surfaces,
+            target: &target.index,
+            target_surfaces: &target.surfaces,
+        };
+        let (start, nothing, silent) = (
+            self.nearly.into(),
+            LocalObservations::default(),
+            Progress::silent(),
+        );
+        icp(&clouds, &start, Freedom::Rigid, &nothing, &options, &silent)
             .expect("the settings are in their ranges")
             .n_iterations
     }
@@ -157,6 +168,9 @@ fn stages(criterion: &mut Criterion) {
         });
         bench("icp/point_to_plane", &mut || {
             black_box(scene.icp(IcpMethod::PointToPlane));
+        });
+        bench("icp/plane_to_plane", &mut || {
+            black_box(scene.icp(IcpMethod::PlaneToPlane));
         });
         let [moving, fixed] = scene.witnesses();
         bench("coarse/robust", &mut || {

@@ -4,6 +4,7 @@
 //! only, and a model without a scale bar differs by a scale as well. What is known need not be
 //! searched for, and cannot come out wrong.
 
+use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
@@ -56,6 +57,34 @@ impl Freedom {
             Self::Rigid => 6,
             Self::Similarity => 7,
         }
+    }
+
+    /// The parameters of a step that are free, of rotation about x, y, z, translation and growth.
+    pub(crate) fn free(self) -> std::ops::Range<usize> {
+        match self {
+            Self::Levelled => 2..6,
+            Self::Rigid => 0..6,
+            Self::Similarity => 0..7,
+        }
+    }
+
+    /// The inverse of the part of a symmetric matrix that is free, zeros in the rest; `None` where
+    /// there is no inverse.
+    pub(crate) fn inverse_of_free(self, matrix: &SMatrix<f64, 7, 7>) -> Option<SMatrix<f64, 7, 7>> {
+        let is_free = |i: usize| self.free().contains(&i);
+        let filled =
+            SMatrix::<f64, 7, 7>::from_fn(|r, c| match (is_free(r) && is_free(c), r == c) {
+                (true, _) => matrix[(r, c)],
+                (false, diagonal) => f64::from(u8::from(diagonal)),
+            });
+        let inverse = filled.cholesky()?.inverse();
+        Some(SMatrix::from_fn(|r, c| {
+            if is_free(r) && is_free(c) {
+                inverse[(r, c)]
+            } else {
+                0.0
+            }
+        }))
     }
 }
 

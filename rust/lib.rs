@@ -19,10 +19,12 @@ pub mod kabsch;
 pub mod near_field;
 pub mod neighbors;
 pub mod normals;
+pub mod observations;
 pub mod optim;
 pub mod point_to_plane;
 pub mod spacing;
 pub mod surface_cloud;
+pub mod uncertainty;
 
 // Floor 2: stages, in the order of the data.
 pub mod coarse;

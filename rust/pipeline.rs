@@ -16,7 +16,7 @@ use crate::config::{Config, Mode};
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
 use crate::fitness::{Tolerance, agreement, support};
-use crate::icp::{IcpResult, IcpStop, icp};
+use crate::icp::{Clouds, IcpResult, IcpStop, icp};
 use crate::neighbors::NeighborIndex;
 use crate::outlier::remove_outliers;
 use crate::parallel;
@@ -124,10 +124,7 @@ fn route(
     log.begin(Stage::Icp, source_surface.len(), target_surface.len())?;
     let coarse_pose = found.candidates[0].target_from_source;
     let fine = refine(&prepared, &coarse_pose, &config, progress)?;
-    let fine_pose = Similarity {
-        scale: coarse_pose.scale,
-        rigid: fine.target_from_source,
-    };
+    let fine_pose = fine.target_from_source;
     log.keep();
 
     log.begin(Stage::Verdict, source_surface.len(), target_surface.len())?;
@@ -224,17 +221,19 @@ fn refine(
     config: &Config,
     progress: &Progress<'_>,
 ) -> Result<IcpResult> {
-    let target = &prepared.target.cloud;
-    let (points, index, surfaces) = (
-        prepared.source.cloud.points(),
-        &target.index,
-        &target.surfaces,
-    );
+    let (source, target) = (&prepared.source.cloud, &prepared.target.cloud);
+    let clouds = Clouds {
+        source: source.points(),
+        source_surfaces: &source.surfaces,
+        target: &target.index,
+        target_surfaces: &target.surfaces,
+    };
+    let known = Default::default();
     icp(
-        points,
-        index,
-        surfaces,
-        &coarse_pose.rigid,
+        &clouds,
+        coarse_pose,
+        config.dof,
+        &known,
         &config.icp,
         progress,
     )

@@ -7,6 +7,7 @@
 use nalgebra::{Matrix6, SMatrix, SVector, Vector3};
 
 use crate::cloud::Point;
+use crate::freedom::Freedom;
 use crate::rigid::Rigid;
 use crate::similarity::Similarity;
 
@@ -100,7 +101,7 @@ impl PlaneSums {
 /// The same sums with the scale as a seventh parameter.
 ///
 /// ```
-/// use tmchho::point_to_plane::ScaledPlaneSums;
+/// use tmchho::{freedom::Freedom, point_to_plane::ScaledPlaneSums};
 /// // The six faces of a cube of edge 2, points of a cube that is one per cent too large.
 /// let mut sums = ScaledPlaneSums::default();
 /// for axis in 0..3 {
@@ -111,7 +112,7 @@ impl PlaneSums {
 ///         sums.add(&face.map(|x| 1.01 * x), &face, &normal, 1.0);
 ///     }
 /// }
-/// let step = sums.solve().unwrap();
+/// let step = sums.solve(Freedom::Similarity).unwrap();
 /// assert!((step.scale * 1.01 - 1.0).abs() < 2e-4);
 /// ```
 #[derive(Debug, Clone, Copy, Default)]
@@ -172,9 +173,59 @@ impl ScaledPlaneSums {
         })
     }
 
-    /// The step to apply on the left of the pose; `None` where there is no weight. Open directions
-    /// are damped to no motion.
-    pub fn solve(&self) -> Option<Similarity> {
+    /// Adds a moved source point and its partner whose difference weighs by a matrix: the entries
+    /// xx, yx, yy, zx, zy, zz of the inverse of its covariance.
+    ///
+    /// Σ J·W·Jᵀ with J = (p ×, 1, p), by the columns of W: as quick as a single plane.
+    #[inline]
+    pub fn add_weighed(
+        &mut self,
+        moved: &Point,
+        partner: &Point,
+        [xx, yx, yy, zx, zy, zz]: [f64; 6],
+    ) {
+        let (p, d) = (moved, difference(moved, partner));
+        let columns = [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]];
+        // (p × w, w) of every column: the rows of the translation.
+        let rows = columns.map(|w| motion_along(p, &w));
+        let mut at = 0;
+        for r in 0..3 {
+            let (next, last) = ((r + 1) % 3, (r + 2) % 3);
+            for c in 0..=r {
+                // Row r of [p]× times the rows of the translation.
+                self.planes.information[at] += p[next] * rows[last][c] - p[last] * rows[next][c];
+                at += 1;
+            }
+        }
+        for r in 0..3 {
+            for c in 0..4 + r {
+                self.planes.information[at] += rows[r][c];
+                at += 1;
+            }
+        }
+        for r in 0..6 {
+            let grown = rows[0][r] * p[0] + rows[1][r] * p[1] + rows[2][r] * p[2];
+            let pulled = rows[0][r] * d[0] + rows[1][r] * d[1] + rows[2][r] * d[2];
+            self.information[r] += grown;
+            self.planes.gradient[r] += pulled;
+        }
+        let weighed = columns.map(|w| along(p, &w));
+        self.information[6] += along(p, &weighed);
+        self.gradient += along(&d, &weighed);
+        self.planes.weight += 1.0;
+    }
+
+    /// The step to apply on the left of the pose, with what is free; `None` where there is no
+    /// weight. Open directions are damped to no motion.
+    pub fn solve(&self, freedom: Freedom) -> Option<Similarity> {
+        match freedom {
+            Freedom::Levelled => self.planes.solve_levelled().map(Similarity::from),
+            Freedom::Rigid => self.planes.solve().map(Similarity::from),
+            Freedom::Similarity => self.solve_with_scale(),
+        }
+    }
+
+    fn solve_with_scale(&self) -> Option<Similarity> {
         let gradient = SVector::from_fn(|row, _| match row {
             6 => self.gradient,
             _ => self.planes.gradient[row],
@@ -190,7 +241,7 @@ impl ScaledPlaneSums {
 
 /// How far `p` moves along `normal` for each small rotation about 0 and each translation.
 #[inline]
-fn motion_along(p: &Point, normal: &Point) -> [f64; 6] {
+pub(crate) fn motion_along(p: &Point, normal: &Point) -> [f64; 6] {
     let n = normal;
     [
         p[1] * n[2] - p[2] * n[1],
@@ -346,7 +397,7 @@ mod tests {
             halves[i % 2].add(p, q, n, 0.5);
             rigid.add(p, q, n, 0.5);
         }
-        let step = sums.solve().unwrap();
+        let step = sums.solve(Freedom::Similarity).unwrap();
         assert!((step.scale - motion.scale).abs() < 1e-6);
         assert!((step.rigid.rotation - motion.rigid.rotation).amax() < 1e-6);
         assert!((step.rigid.translation - motion.rigid.translation).amax() < 1e-6);
@@ -357,7 +408,34 @@ mod tests {
         assert_eq!((sums.weight(), sums.rigid().weight()), (100.0, 100.0));
         let mut joined = halves[0];
         joined.merge(&halves[1]);
-        assert!((joined.solve().unwrap().scale - step.scale).abs() < 1e-12);
-        assert!(ScaledPlaneSums::default().solve().is_none());
+        assert!((joined.solve(Freedom::Similarity).unwrap().scale - step.scale).abs() < 1e-12);
+        assert!(
+            ScaledPlaneSums::default()
+                .solve(Freedom::Similarity)
+                .is_none()
+        );
+    }
+
+    #[test]
+    fn a_matrix_weighs_like_its_planes() {
+        // W = 2·a·aᵀ + 0.5·b·bᵀ is two planes through the partner.
+        let mut stream = Stream::new(4, "weighed", 0);
+        let mut draw = || -> Point { [0; 3].map(|_| stream.normal()) };
+        let (mut by_planes, mut by_matrix) =
+            (ScaledPlaneSums::default(), ScaledPlaneSums::default());
+        for _ in 0..20 {
+            let (p, q, a, b) = (draw(), draw(), draw(), draw());
+            by_planes.add(&p, &q, &a, 2.0);
+            by_planes.add(&p, &q, &b, 0.5);
+            let w = |r: usize, c: usize| 2.0 * a[r] * a[c] + 0.5 * b[r] * b[c];
+            let w = [w(0, 0), w(1, 0), w(1, 1), w(2, 0), w(2, 1), w(2, 2)];
+            by_matrix.add_weighed(&p, &q, w);
+        }
+        let difference = by_planes.information() - by_matrix.information();
+        assert!(difference.amax() < 1e-12 * by_planes.information().amax());
+        let [a, b] = [by_planes, by_matrix].map(|sums| sums.solve(Freedom::Similarity).unwrap());
+        assert!((a.scale - b.scale).abs() < 1e-12);
+        assert!((a.rigid.translation - b.rigid.translation).amax() < 1e-12);
+        assert!((a.rigid.rotation - b.rigid.rotation).amax() < 1e-12);
     }
 }

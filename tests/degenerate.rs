@@ -300,7 +300,7 @@ fn numbers_that_are_none_are_refused_wherever_a_number_is_asked_for() {
             c.paper.hawks.mutation_variance = v
         }),
         ("max_distance_m", |c, v| c.icp.max_distance_m = Some(v)),
-        ("kept_share", |c, v| c.icp.kept_share = v),
+        ("kept_share", |c, v| c.icp.kept_share = Some(v)),
         ("relative_tolerance", |c, v| c.icp.relative_tolerance = v),
         ("accept_inlier_share", |c, v| {
             c.verdict.accept_inlier_share = v

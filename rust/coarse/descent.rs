@@ -70,6 +70,7 @@ pub(super) fn to_points(
 /// The fixed cloud as point-to-plane steps see it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fixed<'a> {
+    pub(super) surfaces: &'a [Surface],
     /// The whole box, coarsely.
     pub(super) grid: &'a NearestGrid,
     /// What lies close, finely; asked first where it is given.
@@ -77,11 +78,16 @@ pub(super) struct Fixed<'a> {
 }
 
 impl Fixed<'_> {
+    /// A point near `place` whose surface has about the slope of `normal`.
     #[inline]
-    fn partner(&self, place: &Point, max_sq: f64) -> Option<Point> {
+    fn partner(&self, place: &Point, normal: &Point, max_sq: f64) -> Option<Point> {
+        /// Within 53°: surfaces that cross do not pull at each other.
+        const MIN_COSINE: f64 = 0.6;
         let near = self.field.and_then(|field| field.nearest(place));
         let (partner, distance_sq) = near.unwrap_or_else(|| self.grid.nearest(place));
-        (distance_sq < max_sq).then(|| self.grid.points()[partner])
+        let other = &self.surfaces[partner].normal;
+        let cosine = normal[0] * other[0] + normal[1] * other[1] + normal[2] * other[2];
+        (distance_sq < max_sq && cosine.abs() > MIN_COSINE).then(|| self.grid.points()[partner])
     }
 }
 
@@ -159,8 +165,8 @@ fn slide<S: StepSums>(
         let mut sums = S::default();
         for (p, surface) in points.iter().zip(surfaces) {
             let moved = pose.apply(p);
-            if let Some(partner) = fixed.partner(&moved, max_sq) {
-                let normal = pose.rigid.rotate(&surface.normal);
+            let normal = pose.rigid.rotate(&surface.normal);
+            if let Some(partner) = fixed.partner(&moved, &normal, max_sq) {
                 sums.add(&about(&moved), &about(&partner), &normal);
             }
         }

@@ -166,6 +166,7 @@ impl<'a> Verifier<'a> {
         truncation: Shrinking,
     ) -> Similarity {
         let fixed = Fixed {
+            surfaces: &self.fixed.cloud.surfaces,
             grid: self.fixed_grid,
             field,
         };
