@@ -12,6 +12,7 @@ use crate::freedom::Freedom;
 use crate::fuse::FuseOptions;
 use crate::icp::{IcpMethod, IcpOptions};
 use crate::keypoints::{IssOptions, RADIUS_IN_VOXELS};
+use crate::observations::Observations;
 use crate::outlier::OutlierOptions;
 use crate::verdict::VerdictOptions;
 use crate::voxel::VoxelOptions;
@@ -52,6 +53,8 @@ pub struct Config {
     pub n_threads: Option<usize>,
     /// What may differ between the clouds (robust mode): 4, 6 or 7 degrees of freedom.
     pub dof: Freedom,
+    /// What is known of the pose beforehand (robust mode): a prior, control points.
+    pub known: Observations,
     /// Where the scale is sought with 7 degrees of freedom: by what the source may have to be
     /// multiplied, least and most.
     pub scale_bounds: [f64; 2],
@@ -85,6 +88,7 @@ impl Default for Config {
             seed: 0,
             n_threads: None,
             dof: Freedom::default(),
+            known: Observations::default(),
             scale_bounds: [0.5, 2.0],
             source_crop_m: None,
             target_crop_m: None,
@@ -131,6 +135,13 @@ impl Config {
         if self.mode == Mode::Paper && self.dof != Freedom::Rigid {
             return Err(Error::argument("dof", "must be 6 in paper mode"));
         }
+        if self.mode == Mode::Paper && !self.known.is_empty() {
+            return Err(Error::argument(
+                "known",
+                "must be empty in paper mode, which starts from nothing",
+            ));
+        }
+        self.known.check()?;
         let [least, most] = self.scale_bounds;
         if !(least > 0.0 && least <= most && most / least <= MAX_SCALE_RANGE) {
             return Err(Error::argument(

@@ -91,6 +91,56 @@ impl Observations {
         self.about([0.0; 3], [0.0; 3]).map(drop)
     }
 
+    /// The same with so much more uncertainty: what a pose from a coarse search can be held against.
+    pub fn loosened(&self, angle_rad: f64, distance_m: f64) -> Self {
+        let prior = self.prior.as_ref().map(|prior| PosePrior {
+            rotation_rad: prior.rotation_rad.map(|s| s.map(|s| s.hypot(angle_rad))),
+            translation_m: prior.translation_m.map(|s| s.map(|s| s.hypot(distance_m))),
+            covariance: prior.covariance.map(|mut covariance| {
+                for (i, row) in covariance.iter_mut().enumerate() {
+                    row[i] += if i < 3 { angle_rad } else { distance_m }.powi(2);
+                }
+                covariance
+            }),
+            ..prior.clone()
+        });
+        let loosen = |point: &ControlPoint| ControlPoint {
+            sigma_m: point.sigma_m.hypot(distance_m),
+            ..*point
+        };
+        Self {
+            prior,
+            control_points: self.control_points.iter().map(loosen).collect(),
+        }
+    }
+
+    /// The same for a source that was multiplied by `scale`; `middle` is that of the source as given.
+    pub fn for_scaled_source(&self, scale: f64, middle: Point) -> Self {
+        let grow = |p: &Point| p.map(|v| scale * v);
+        let prior = self.prior.as_ref().map(|prior| {
+            let about = prior.about.unwrap_or(middle);
+            // The place keeps its position in the target.
+            let mut matrix = prior.target_from_source;
+            for row in matrix.iter_mut().take(3) {
+                let turned: f64 = (0..3).map(|axis| row[axis] * about[axis]).sum();
+                row[3] += (1.0 - scale) * turned;
+            }
+            PosePrior {
+                target_from_source: matrix,
+                about: Some(grow(&about)),
+                ..prior.clone()
+            }
+        });
+        let scaled = |point: &ControlPoint| ControlPoint {
+            source: grow(&point.source),
+            ..*point
+        };
+        Self {
+            prior,
+            control_points: self.control_points.iter().map(scaled).collect(),
+        }
+    }
+
     /// The same about the origins of the two clouds, in whose local coordinates poses are sought.
     ///
     /// # Errors
@@ -419,6 +469,44 @@ mod tests {
             covariance: None,
             about: None,
         }
+    }
+
+    #[test]
+    fn what_is_loosened_or_scaled_still_says_the_same() {
+        let pose = truth();
+        let known = Observations {
+            prior: Some(prior(&pose)),
+            control_points: controls(&pose.into(), 3, 0.0, 1)
+                .into_iter()
+                .map(|point| ControlPoint {
+                    sigma_m: 0.01,
+                    ..point
+                })
+                .collect(),
+        };
+        let (middle, scale) = ([3.0, -2.0, 40.0], 0.25);
+        let scaled = known.for_scaled_source(scale, middle);
+        let grown = Similarity {
+            scale: 1.0 / scale,
+            rigid: pose,
+        };
+        // The pose of the small source has to grow it; the prior, which knows no scale, then holds
+        // at the middle alone.
+        let local = scaled.about([0.0; 3], [0.0; 3]).unwrap();
+        let of_points = local.pose_from_control_points(Freedom::Similarity).unwrap();
+        assert!((of_points.target_from_source.scale - grown.scale).abs() < 1e-9);
+        let mean = Rigid::from_matrix4(&scaled.prior.as_ref().unwrap().target_from_source).unwrap();
+        let (there, wanted) = (mean.apply(&middle.map(|v| scale * v)), pose.apply(&middle));
+        assert!((0..3).all(|axis| (there[axis] - wanted[axis]).abs() < 1e-9));
+
+        let off = Rigid::from_euler([0.0; 3], [0.3, 0.0, 0.0]) * pose;
+        let chi = |known: &Observations| {
+            known
+                .about([0.0; 3], [0.0; 3])
+                .unwrap()
+                .chi_squared(&off.into())
+        };
+        assert!(chi(&known.loosened(0.1, 1.0)) < 0.1 * chi(&known));
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! outliers → voxel → keypoints → coarse → icp → verdict → evaluate, and then fuse.
 
 mod apart;
+mod doubts;
 mod prepare;
 mod search;
 
@@ -15,18 +16,22 @@ use crate::coarse::{CoarseResult, Deadline};
 use crate::config::{Config, Mode};
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
-use crate::fitness::{Tolerance, agreement, support};
+use crate::fitness::{self, Tolerance, agreement};
+use crate::freedom::Freedom;
 use crate::icp::{Clouds, IcpResult, IcpStop, icp};
 use crate::neighbors::NeighborIndex;
+use crate::observations::LocalObservations;
 use crate::outlier::remove_outliers;
 use crate::parallel;
 use crate::progress::{Progress, Stage};
 use crate::registration::{Registration, StageLog};
 use crate::similarity::Similarity;
-use crate::verdict::{Evidence, Strength, judge};
+use crate::verdict::{Evidence, Rival, Strength, Verdict, judge};
 
 /// Voxels along the extent of the smaller cloud, where no edge is asked for.
 pub const VOXELS_PER_EXTENT: f64 = 250.0;
+/// The fine pose is kept unless the clouds agree by less than this share of what they did before.
+const LEAST_KEPT: f64 = 0.99;
 /// A partner within so many voxels supports the pose, where no distance is asked for.
 pub const SUPPORT_IN_VOXELS: f64 = 2.5;
 
@@ -95,24 +100,44 @@ fn route(
     log.end(source_cleaned.len(), target_cleaned.len());
 
     let mut best: Option<(Prepared, CoarseResult)> = None;
-    for scale in search::scales(&config) {
+    for scale in search::scales(&config)? {
         log.begin(Stage::Voxel, source_cleaned.len(), target_cleaned.len())?;
         let prepared = Prepared::new(&source_cleaned, &target_cleaned, scale, &config, progress)?;
         log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
-        let found = search::search(&prepared, &config, deadline, &mut log, progress)?;
+        let found = match search::search(&prepared, &config, deadline, &mut log, progress) {
+            // At another scale there may be a pose.
+            Err(Error::NoSolution { .. }) if config.dof == Freedom::Similarity => continue,
+            other => other?,
+        };
         log.keep();
-        if best
-            .as_ref()
-            .is_none_or(|(_, b)| search::merit(&found) > search::merit(b))
-        {
+        let merit = search::merit(&found);
+        if best.as_ref().is_none_or(|(_, b)| merit > search::merit(b)) {
             best = Some((prepared, found));
         }
     }
-    let Some((prepared, found)) = best else {
-        return Err(Error::NoSolution {
-            reason: "no scale was asked for".into(),
-        });
-    };
+    let (mut prepared, found) = best.ok_or_else(|| Error::NoSolution {
+        reason: "at no scale did any point of one cloud find a partner in the other".into(),
+    })?;
+    let mut coarse_pose = found.candidates[0].target_from_source;
+    let candidates: Vec<(Similarity, f64)> = found
+        .candidates
+        .iter()
+        .map(|c| (prepared.to_given(&c.target_from_source), c.score))
+        .collect();
+    if config.dof == Freedom::Similarity {
+        // The same voxel for both clouds, now that their scale is known.
+        let (pose, _) = candidates[0];
+        log.begin(Stage::Voxel, source_cleaned.len(), target_cleaned.len())?;
+        prepared = Prepared::new(
+            &source_cleaned,
+            &target_cleaned,
+            pose.scale,
+            &config,
+            progress,
+        )?;
+        log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
+        coarse_pose = prepared.from_given(&pose);
+    }
     let voxel_size_m = prepared.voxel_size_m;
     let max_distance_m = config
         .icp
@@ -122,9 +147,8 @@ fn route(
 
     let (source_surface, target_surface) = (&prepared.source.cloud, &prepared.target.cloud);
     log.begin(Stage::Icp, source_surface.len(), target_surface.len())?;
-    let coarse_pose = found.candidates[0].target_from_source;
-    let fine = refine(&prepared, &coarse_pose, &config, progress)?;
-    let fine_pose = fine.target_from_source;
+    let known = prepared.known(&config.known)?;
+    let fine = refine(&prepared, &coarse_pose, &known, &config, progress)?;
     log.keep();
 
     log.begin(Stage::Verdict, source_surface.len(), target_surface.len())?;
@@ -137,39 +161,72 @@ fn route(
             tolerance,
         )
     };
-    let (before, after) = (agreed(&coarse_pose), agreed(&fine_pose));
-    // Robust mode keeps ICP's pose only where it is no worse; the paper always takes it.
-    let (pose, agreed) = if config.mode == Mode::Paper || after.score >= before.score {
-        (fine_pose, after)
+    let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source));
+    // Robust mode keeps ICP's pose only where it is no worse, or where it heeds what is known; the
+    // paper always takes it.
+    let takes_fine = config.mode == Mode::Paper || !known.is_empty();
+    let (pose, agreed) = if takes_fine || after.score >= LEAST_KEPT * before.score {
+        (fine.target_from_source, after)
     } else {
         (coarse_pose, before)
     };
-    let support = support(source_surface, target_surface, &pose, max_distance_m);
+    let support = fitness::support(source_surface, target_surface, &pose, max_distance_m);
+    let support_back = fitness::support(
+        target_surface,
+        source_surface,
+        &pose.inverse(),
+        max_distance_m / pose.scale,
+    );
+    let held_out = held_out_ratio(&prepared, &pose, max_distance_m);
     let strength = Strength::new(
         &support.planes.information(),
         support.planes.weight(),
         support.radius_m,
     );
-    let judgement = judge(
+    let weakest_error = fine.uncertainty.as_ref().map_or(f64::NAN, |uncertainty| {
+        let rigid = uncertainty.covariance.fixed_view::<6, 6>(0, 0);
+        strength.standard_error(&rigid.into_owned())
+    });
+    let target_from_source = prepared.to_given(&pose);
+    let mut judgement = judge(
         &Evidence {
             inlier_share: agreed.inlier_share,
             ambiguity_ratio: found.ambiguity_ratio,
+            rival: candidates.get(1).map(|(rival, _)| {
+                let middle = prepared.source_pivot();
+                Rival::between(&target_from_source, rival, &middle)
+            }),
             strength,
+            weakest_error,
+            lead_over_chance: found.candidates[0].score / found.chance_score,
+            held_out_ratio: held_out,
+            deviation_from_known: match known.n_observed() {
+                0 => f64::NAN,
+                n => (known.chi_squared(&pose) / n as f64).sqrt(),
+            },
+            scale_at_bound: config.dof == Freedom::Similarity
+                && is_at_bound(target_from_source.scale, &config.scale_bounds),
+            ended_early: found.ended_early,
             converged: fine.stop_reason == IcpStop::Converged,
         },
         &config.verdict,
     );
+    if judgement.verdict != Verdict::Accepted && config.mode == Mode::Robust {
+        let enough = search::enough(&config);
+        judgement.reasons.extend(doubts::doubts(
+            &source_cleaned,
+            &target_cleaned,
+            &config,
+            enough,
+            deadline,
+            progress,
+        )?);
+    }
     log.keep();
 
     log.begin(Stage::Evaluate, source.len(), target.len())?;
     let (source_pivot, target_pivot) = (prepared.source_pivot(), prepared.target_pivot());
     let about_pivots = prepared.about_pivots(&pose);
-    let given = |pose: &Similarity| {
-        prepared
-            .about_pivots(pose)
-            .between_given_coordinates(source_pivot, target_pivot)
-    };
-    let target_from_source = given(&pose);
     let (source_to_target, target_to_source) = distances(
         (source, &source_index),
         (target, &target_index),
@@ -187,17 +244,18 @@ fn route(
         reasons: judgement.reasons,
         fitness: support.n_inliers as f64 / source_surface.len() as f64,
         inlier_rmse_m: support.inlier_rmse_m,
+        inlier_rmse_back_m: support_back.inlier_rmse_m,
         n_inliers: support.n_inliers,
         overlap_of_source: share_within(&source_to_target, max_distance_m),
         overlap_of_target: share_within(&target_to_source, max_distance_m),
         inlier_share: agreed.inlier_share,
         ambiguity_ratio: found.ambiguity_ratio,
         strength,
-        candidates: found
-            .candidates
-            .iter()
-            .map(|c| (given(&c.target_from_source), c.score))
-            .collect(),
+        candidates,
+        lead_over_chance: found.candidates[0].score / found.chance_score,
+        held_out_ratio: held_out,
+        ended_early: found.ended_early,
+        uncertainty: fine.uncertainty,
         n_evaluations: found.n_evaluations,
         history: found.history,
         icp_stop: fine.stop_reason,
@@ -214,29 +272,69 @@ fn route(
     })
 }
 
-/// Brings the coarse pose to rest: the paper's ICP, or point-to-plane on the overlap.
+/// Brings the coarse pose to rest: the paper's ICP, or point-to-plane on the overlap. The last of the
+/// points, which stand in random order, are held out in robust mode.
 fn refine(
     prepared: &Prepared,
     coarse_pose: &Similarity,
+    known: &LocalObservations,
     config: &Config,
     progress: &Progress<'_>,
 ) -> Result<IcpResult> {
     let (source, target) = (&prepared.source.cloud, &prepared.target.cloud);
+    let n_fitted = match config.mode {
+        Mode::Robust => n_fitted(source.len()),
+        Mode::Paper => source.len(),
+    };
     let clouds = Clouds {
-        source: source.points(),
-        source_surfaces: &source.surfaces,
+        source: source.sample(n_fitted),
+        source_surfaces: &source.surfaces[..n_fitted],
         target: &target.index,
         target_surfaces: &target.surfaces,
     };
-    let known = Default::default();
     icp(
         &clouds,
         coarse_pose,
         config.dof,
-        &known,
+        known,
         &config.icp,
         progress,
     )
+}
+
+/// One point in ten is held out.
+fn n_fitted(n: usize) -> usize {
+    n - n / 10
+}
+
+/// Root mean squared distance of the pairs of points that were held out, by that of the others.
+fn held_out_ratio(prepared: &Prepared, pose: &Similarity, max_distance_m: f64) -> f64 {
+    /// Fewer pairs tell nothing.
+    const LEAST_PAIRS: usize = 30;
+    let points = prepared.source.cloud.points();
+    let index = &prepared.target.cloud.index;
+    let rms = |points: &[Point]| {
+        let max_sq = max_distance_m * max_distance_m;
+        let found = points
+            .iter()
+            .filter_map(|p| index.nearest_within(&pose.apply(p), max_sq));
+        let (n, sum) = found.fold((0, 0.0), |(n, sum), pair| (n + 1, sum + pair.distance_sq));
+        (n >= LEAST_PAIRS).then(|| (sum / n as f64).sqrt())
+    };
+    let (fitted, held_out) = points.split_at(n_fitted(points.len()));
+    // As many of the others are looked at as were held out.
+    match (
+        rms(held_out),
+        rms(&fitted[..held_out.len().min(fitted.len())]),
+    ) {
+        (Some(held_out), Some(fitted)) if fitted > 0.0 => held_out / fitted,
+        _ => f64::NAN,
+    }
+}
+
+fn is_at_bound(scale: f64, [low, high]: &[f64; 2]) -> bool {
+    const NEAR: f64 = 0.005;
+    scale < low * (1.0 + NEAR) || scale > high * (1.0 - NEAR)
 }
 
 /// From every point of each cloud to the nearest of the other: source to target, and back.

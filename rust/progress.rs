@@ -85,6 +85,7 @@ type Listener<'a> = dyn Fn(&Event) -> ControlFlow<()> + Sync + 'a;
 #[derive(Clone, Copy)]
 pub struct Progress<'a> {
     listener: Option<&'a Listener<'a>>,
+    is_quiet: bool,
 }
 
 impl<'a> Progress<'a> {
@@ -92,12 +93,24 @@ impl<'a> Progress<'a> {
     pub fn new(listener: &'a Listener<'a>) -> Self {
         Self {
             listener: Some(listener),
+            is_quiet: false,
         }
     }
 
     /// Nobody listens.
     pub fn silent() -> Self {
-        Self { listener: None }
+        Self {
+            listener: None,
+            is_quiet: true,
+        }
+    }
+
+    /// The same caller, who is not told of anything but may still stop the work.
+    pub fn quietly(&self) -> Self {
+        Self {
+            is_quiet: true,
+            ..*self
+        }
     }
 
     /// Tells the caller.
@@ -105,6 +118,7 @@ impl<'a> Progress<'a> {
     /// # Errors
     /// [`Error::Cancelled`] once the caller wants to stop.
     pub fn emit(&self, event: &Event) -> Result<()> {
+        let event = if self.is_quiet { &Event::Tick } else { event };
         match self.listener.map(|listener| listener(event)) {
             Some(ControlFlow::Break(())) => Err(Error::Cancelled),
             _ => Ok(()),

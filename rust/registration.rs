@@ -9,6 +9,7 @@ use crate::evaluate::DistanceStatistics;
 use crate::icp::IcpStop;
 use crate::progress::{Event, Progress, Stage};
 use crate::similarity::Similarity;
+use crate::uncertainty::PoseUncertainty;
 use crate::verdict::{Strength, Verdict};
 
 /// What one stage did.
@@ -45,7 +46,9 @@ pub struct Registration {
     pub fitness: f64,
     /// Root mean squared distance of those pairs.
     pub inlier_rmse_m: f64,
-    /// Number of those pairs.
+    /// The same of the target voxels with a partner in the source.
+    pub inlier_rmse_back_m: f64,
+    /// Number of source voxels with a partner.
     pub n_inliers: usize,
     /// Share of the source points, at full density, within `max_distance_m` of a target point.
     pub overlap_of_source: f64,
@@ -58,6 +61,15 @@ pub struct Registration {
     pub ambiguity_ratio: f64,
     /// How firmly the common surface holds the pose.
     pub strength: Strength,
+    /// Score of the best pose by the best that a few random poses reach; NaN in paper mode.
+    pub lead_over_chance: f64,
+    /// Root mean squared distance of the pairs held out of the fit by that of others; NaN where there
+    /// are too few.
+    pub held_out_ratio: f64,
+    /// Whether the time was up before the search was done.
+    pub ended_early: bool,
+    /// How accurate the pose is; `None` where the pairs are too few to tell.
+    pub uncertainty: Option<PoseUncertainty>,
     /// The best poses found, best first: (pose, score).
     pub candidates: Vec<(Similarity, f64)>,
     /// Poses for which the clouds were compared during the search.

@@ -145,7 +145,7 @@ impl StepSums for ScaledPlaneSums {
     }
 
     fn step(&self) -> Option<Similarity> {
-        self.solve()
+        self.solve(Freedom::Similarity)
     }
 }
 

@@ -8,11 +8,12 @@
 
 use super::explore::Explorer;
 use super::hypotheses;
-use super::verify::Verifier;
+use super::verify::{Knowledge, Verifier};
 use super::{Candidate, CoarseResult, Deadline, RobustSearchOptions, starts};
 use crate::error::{Error, Result, require_positive};
 use crate::fitness::Witnesses;
 use crate::freedom::Freedom;
+use crate::observations::LocalObservations;
 use crate::progress::Progress;
 use crate::random::Stream;
 use crate::rigid::Rigid;
@@ -32,6 +33,9 @@ const N_PLACES_FROM: usize = 4000;
 /// The round in which descriptors propose poses, and which share of those looked at they are.
 const DESCRIPTORS_IN_ROUND: usize = 1;
 const PROPOSED: usize = 4;
+
+/// Starts round a pose that is known.
+const N_NEAR_KNOWN: usize = 64;
 
 /// The first round looks at this share of the poses of the others.
 const FIRST_ROUND: usize = 4;
@@ -61,11 +65,15 @@ impl StandingOut {
 
     fn is_met(&self, verifier: &Verifier<'_>) -> bool {
         let share = verifier.best().map_or(0.0, |v| v.agreement.inlier_share);
-        if share <= self.inlier_share {
-            return false;
-        }
-        let ratio = verifier.ambiguity_ratio();
-        ratio > self.ambiguity_ratio && share * ratio > self.share_times_ratio
+        // The ratio costs more than the share.
+        share > self.inlier_share && self.is_met_by(share, verifier.ambiguity_ratio())
+    }
+
+    /// Whether a pose of that share of inliers and lead over its rivals stands out.
+    pub fn is_met_by(&self, share: f64, ratio: f64) -> bool {
+        share > self.inlier_share
+            && ratio > self.ambiguity_ratio
+            && share * ratio > self.share_times_ratio
     }
 }
 
@@ -80,6 +88,8 @@ pub struct Problem<'a> {
     pub unit_m: f64,
     /// What may differ between the clouds.
     pub freedom: Freedom,
+    /// What is known of the pose from source to target, as loosely as the search is coarse.
+    pub known: &'a LocalObservations,
 }
 
 /// Finds the pose of the source in the target. Rounds are added until the best pose is `enough`,
@@ -105,14 +115,51 @@ pub fn search_robust(
         (problem.target, problem.source)
     };
     let explorer = Explorer::new(&moving.cloud, &fixed.cloud, unit_m, problem.freedom)?;
-    let mut verifier = Verifier::new(moving, fixed, &explorer.fixed_grid, unit_m, problem.freedom)?;
+    let mut verifier = Verifier::new(
+        moving,
+        fixed,
+        &explorer.fixed_grid,
+        Knowledge {
+            known: problem.known,
+            source_moves,
+        },
+        unit_m,
+        problem.freedom,
+    )?;
+    let (mut n_explored, mut n_rounds) = (0, 0);
+    let known = problem.known.starts(problem.freedom);
+    let known: Vec<Rigid> = known
+        .iter()
+        .map(|pose| match source_moves {
+            true => pose.rigid,
+            false => pose.inverse().rigid,
+        })
+        .collect();
+    let mut stands_out = false;
+    if !known.is_empty() {
+        let start = |i: usize| {
+            let mut stream = Stream::new(seed, "known", i as u64);
+            starts::near(
+                &known[i % known.len()],
+                unit_m,
+                problem.freedom,
+                &mut stream,
+            )
+        };
+        let n_starts = N_NEAR_KNOWN * known.len();
+        let (mut basins, n_poses) = explorer.basins(n_starts, start, deadline, progress)?;
+        n_explored += n_poses;
+        basins.truncate(options.n_verified);
+        let poses = [known.clone(), basins].concat();
+        verifier.look_at(&poses, known.len(), deadline, progress)?;
+        stands_out = enough.is_met(&verifier);
+    }
     // The pose that the files already have is always among the candidates.
     let as_given =
         Rigid::identity().between_local_coordinates(moving.cloud.origin, fixed.cloud.origin);
     let mut given = vec![as_given, Rigid::identity()];
-    let (mut n_explored, mut n_rounds) = (0, 0);
     for (round, n_rotations) in options.rotations_per_round.iter().enumerate() {
-        if n_rounds > 0 && deadline.is_over() {
+        if stands_out || (n_rounds > 0 && deadline.is_over()) {
             break;
         }
         n_rounds = round + 1;
@@ -138,37 +185,25 @@ pub fn search_robust(
             true => options.n_verified.div_ceil(FIRST_ROUND),
             false => options.n_verified,
         });
-        if round == DESCRIPTORS_IN_ROUND.min(options.rotations_per_round.len() - 1)
-            && options.descriptors
-        {
+        let round_of_descriptors = DESCRIPTORS_IN_ROUND.min(options.rotations_per_round.len() - 1);
+        if options.descriptors && round == round_of_descriptors && !deadline.is_over() {
             let (moving, fixed) = (&moving.cloud, &fixed.cloud);
             let proposed = hypotheses::propose(moving, fixed, unit_m, problem.freedom, progress)?;
-            if std::env::var("HYP").is_ok() {
-                eprintln!(
-                    "hyp {} {:?}",
-                    proposed.len(),
-                    proposed
-                        .iter()
-                        .take(8)
-                        .map(|h| h.consensus)
-                        .collect::<Vec<_>>()
-                );
-            }
-            basins.truncate(options.n_verified - options.n_verified / PROPOSED);
-            let best = proposed.iter().take(options.n_verified / PROPOSED);
-            basins.extend(best.map(|hypothesis| hypothesis.pose));
+            let n_proposed = proposed.len().min(options.n_verified / PROPOSED);
+            basins.truncate(options.n_verified - n_proposed);
+            basins.extend(
+                proposed[..n_proposed]
+                    .iter()
+                    .map(|hypothesis| hypothesis.pose),
+            );
         }
         let n_certain = given.len();
-        let mut poses = std::mem::take(&mut given);
-        poses.append(&mut basins);
+        let poses = [std::mem::take(&mut given), basins].concat();
         verifier.look_at(&poses, n_certain, deadline, progress)?;
-        let enough = match is_first {
-            true => enough.in_first_round(),
-            false => enough,
+        stands_out = match is_first {
+            true => enough.in_first_round().is_met(&verifier),
+            false => enough.is_met(&verifier),
         };
-        if enough.is_met(&verifier) {
-            break;
-        }
     }
     const MAX_CANDIDATES: usize = 8;
     let n_evaluations = n_explored + verifier.n_evaluations;
@@ -189,7 +224,11 @@ pub fn search_robust(
         return Err(Error::NoSolution {
             reason: format!(
                 "at none of {n_evaluations} poses did any point of one cloud find a partner in the \
-                 other: do both files show the same place, in the same unit?"
+                 other{}: do both files show the same place, in the same unit?",
+                match problem.known.is_empty() {
+                    true => "",
+                    false => " and the pose agree with what was said to be known of it",
+                }
             ),
         });
     }
@@ -200,7 +239,7 @@ pub fn search_robust(
         n_evaluations,
         history: verifier.history,
         n_rounds,
-        ended_early: deadline.is_over(),
+        ended_early: !stands_out && deadline.is_over(),
         unit_m,
     })
 }

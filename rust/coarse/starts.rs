@@ -50,6 +50,23 @@ fn all_rotations(n: usize, stream: &mut Stream) -> Vec<Matrix3<f64>> {
         .collect()
 }
 
+/// A pose near one that is roughly known, within reach of the descents.
+pub(super) fn near(known: &Rigid, unit_m: f64, freedom: Freedom, stream: &mut Stream) -> Rigid {
+    const TURN_RAD: f64 = 0.1;
+    const SHIFT: f64 = 0.03;
+    let [x, y, z] = [0; 3].map(|_| TURN_RAD * stream.normal());
+    let turn = match freedom {
+        Freedom::Levelled => [0.0, 0.0, z],
+        Freedom::Rigid | Freedom::Similarity => [x, y, z],
+    };
+    Rigid {
+        rotation: Rigid::from_euler(turn, [0.0; 3]).rotation * known.rotation,
+        translation: known
+            .translation
+            .map(|v| v + SHIFT * unit_m * stream.normal()),
+    }
+}
+
 /// A rotation drawn uniformly from those that are free, and a place drawn from the fixed cloud.
 pub(super) fn random_pose(fixed: &[Point], freedom: Freedom, stream: &mut Stream) -> Rigid {
     let rotation = match freedom {

@@ -7,6 +7,7 @@ use crate::error::{Error, Result};
 use crate::fitness::{Agreement, Tolerance, Witnesses, agreement, off_plane_noise_m};
 use crate::freedom::Freedom;
 use crate::near_field::NearField;
+use crate::observations::LocalObservations;
 use crate::parallel;
 use crate::progress::{Event, Progress, Stage};
 use crate::random::Stream;
@@ -63,6 +64,32 @@ pub(super) struct Verified {
     is_final: bool,
 }
 
+/// What is known of the pose beforehand.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Knowledge<'a> {
+    pub(super) known: &'a LocalObservations,
+    /// Whether the source, of which it is known, is the cloud that moves.
+    pub(super) source_moves: bool,
+}
+
+impl Knowledge<'_> {
+    /// Whether a pose contradicts it beyond all doubt.
+    fn excludes(&self, pose: &Similarity) -> bool {
+        /// So many standard deviations of the sum of squares above its mean.
+        const BEYOND: f64 = 6.0;
+        if self.known.is_empty() {
+            return false;
+        }
+        let n = self.known.n_observed() as f64;
+        let most = n + BEYOND * (2.0 * n).sqrt();
+        let sum = match self.source_moves {
+            true => self.known.chi_squared(pose),
+            false => self.known.chi_squared(&pose.inverse()),
+        };
+        sum > most
+    }
+}
+
 /// Looks closely at poses and remembers what it saw.
 #[derive(Debug)]
 pub(super) struct Verifier<'a> {
@@ -71,6 +98,7 @@ pub(super) struct Verifier<'a> {
     moving_field: NearField,
     fixed_field: NearField,
     fixed_grid: &'a NearestGrid,
+    knowledge: Knowledge<'a>,
     unit_m: f64,
     freedom: Freedom,
     /// By falling score.
@@ -85,6 +113,7 @@ impl<'a> Verifier<'a> {
         moving: &'a Witnesses,
         fixed: &'a Witnesses,
         fixed_grid: &'a NearestGrid,
+        knowledge: Knowledge<'a>,
         unit_m: f64,
         freedom: Freedom,
     ) -> Result<Self> {
@@ -102,6 +131,7 @@ impl<'a> Verifier<'a> {
             moving_field: field(&moving.cloud)?,
             fixed_field: field(&fixed.cloud)?,
             fixed_grid,
+            knowledge,
             unit_m,
             freedom,
             verified: Vec::new(),
@@ -227,6 +257,8 @@ impl<'a> Verifier<'a> {
     }
 
     fn rank(&mut self) {
+        let knowledge = self.knowledge;
+        self.verified.retain(|v| !knowledge.excludes(&v.pose));
         self.verified
             .sort_by(|a, b| b.agreement.score.total_cmp(&a.agreement.score));
     }
@@ -240,14 +272,7 @@ impl<'a> Verifier<'a> {
     pub(super) fn distinct(&self) -> impl Iterator<Item = &Verified> {
         let mut kept: Vec<&Verified> = Vec::new();
         for verified in &self.verified {
-            let is_new = |k: &&Verified| {
-                differ(
-                    &k.pose,
-                    &verified.pose,
-                    SAME_POSE_RAD,
-                    SAME_POSE * self.unit_m,
-                )
-            };
+            let is_new = |k: &&Verified| self.are_distinct(&k.pose, &verified.pose);
             if kept.iter().all(is_new) {
                 kept.push(verified);
             }
@@ -279,15 +304,26 @@ impl<'a> Verifier<'a> {
         }
     }
 
-    /// What chance reaches: the best score of a few random poses, each refined as every other pose.
+    /// What chance reaches: the best score of a few random poses, each refined as every other pose,
+    /// that do not end at the best one.
     pub(super) fn chance_score(&self, seed: u64) -> f64 {
         let mut stream = Stream::new(seed, "chance", 0);
         let poses: Vec<Rigid> = (0..N_CHANCE)
             .map(|_| starts::random_pose(self.fixed.cloud.points(), self.freedom, &mut stream))
             .collect();
-        let scores = parallel::map(poses.len(), |i| {
-            self.scored(self.refined(&poses[i]), false).agreement.score
-        });
-        scores.into_iter().fold(0.0, f64::max)
+        let refined = parallel::map(poses.len(), |i| self.scored(self.refined(&poses[i]), false));
+        let is_other = |v: &&Verified| {
+            self.best()
+                .is_none_or(|best| self.are_distinct(&best.pose, &v.pose))
+        };
+        refined
+            .iter()
+            .filter(is_other)
+            .map(|v| v.agreement.score)
+            .fold(0.0, f64::max)
+    }
+
+    fn are_distinct(&self, a: &Similarity, b: &Similarity) -> bool {
+        differ(a, b, SAME_POSE_RAD, SAME_POSE * self.unit_m)
     }
 }

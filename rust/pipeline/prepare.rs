@@ -6,6 +6,7 @@ use crate::coarse;
 use crate::config::Config;
 use crate::error::{Error, Result};
 use crate::fitness::Witnesses;
+use crate::observations::{LocalObservations, Observations};
 use crate::progress::Progress;
 use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
@@ -69,6 +70,32 @@ impl Prepared {
             unit_m,
             voxel_size_m,
         })
+    }
+
+    /// What is known, about the origins of the prepared clouds.
+    pub(super) fn known(&self, known: &Observations) -> Result<LocalObservations> {
+        let (source_origin, target_origin) = (self.source.cloud.origin, self.target.cloud.origin);
+        if self.source_scale == 1.0 {
+            return known.about(source_origin, target_origin);
+        }
+        known
+            .for_scaled_source(self.source_scale, self.source_pivot())
+            .about(source_origin, target_origin)
+    }
+
+    /// The pose between these clouds, from one between the clouds that were given.
+    pub(super) fn from_given(&self, pose: &Similarity) -> Similarity {
+        let from_scaled = Similarity {
+            scale: pose.scale / self.source_scale,
+            ..*pose
+        };
+        from_scaled.between_local_coordinates(self.source.cloud.origin, self.target.cloud.origin)
+    }
+
+    /// The pose between the clouds that were given, from one between these.
+    pub(super) fn to_given(&self, pose: &Similarity) -> Similarity {
+        self.about_pivots(pose)
+            .between_given_coordinates(self.source_pivot(), self.target_pivot())
     }
 
     /// Where the source's pivot lies in the coordinates given.

@@ -16,6 +16,19 @@ const SCALE_STEP: f64 = 1.2;
 /// Beyond this a lead over the rivals says nothing more about which scale is right.
 const FULL_LEAD: f64 = 3.0;
 
+/// How far a pose from the search may lie off the best one, in radians and as a share of the unit.
+const SLACK_RAD: f64 = 0.02;
+const SLACK: f64 = 0.01;
+
+/// When a pose stands out so that the search may end: the verdict would accept it.
+pub(super) fn enough(config: &Config) -> StandingOut {
+    StandingOut {
+        inlier_share: config.verdict.accept_inlier_share,
+        ambiguity_ratio: config.verdict.accept_ambiguity_ratio,
+        share_times_ratio: config.verdict.accept_share_times_ratio,
+    }
+}
+
 /// Finds the pose between the prepared clouds; `log` is told of the stages.
 pub(super) fn search(
     prepared: &Prepared,
@@ -28,16 +41,15 @@ pub(super) fn search(
     match config.mode {
         Mode::Robust => {
             log.begin(Stage::Coarse, n_source, n_target)?;
-            let enough = StandingOut {
-                inlier_share: config.verdict.accept_inlier_share,
-                ambiguity_ratio: config.verdict.accept_ambiguity_ratio,
-                share_times_ratio: config.verdict.accept_share_times_ratio,
-            };
+            let (angle_rad, shift_m) = (SLACK_RAD, SLACK * prepared.unit_m);
+            let known = prepared.known(&config.known.loosened(angle_rad, shift_m))?;
+            let enough = enough(config);
             let problem = Problem {
                 source: &prepared.source,
                 target: &prepared.target,
                 unit_m: prepared.unit_m,
                 freedom: config.dof,
+                known: &known,
             };
             let options = &config.coarse;
             coarse::search_robust(&problem, options, enough, deadline, config.seed, progress)
@@ -73,18 +85,21 @@ fn keypoints(
     Ok(found.indices.iter().map(local).collect())
 }
 
-/// The scales at which the search is begun: 1, or evenly spaced over the bounds.
-pub(super) fn scales(config: &Config) -> Vec<f64> {
-    let [low, high] = config.scale_bounds;
-    match config.dof {
-        Freedom::Levelled | Freedom::Rigid => vec![1.0],
-        Freedom::Similarity => {
-            let n = ((high / low).ln() / SCALE_STEP.ln()).ceil().max(1.0);
-            (0..n as usize)
-                .map(|i| low * (high / low).powf((i as f64 + 0.5) / n))
-                .collect()
-        }
+/// The scales at which the search is begun: 1, what control points say, or evenly spaced over the
+/// bounds.
+pub(super) fn scales(config: &Config) -> Result<Vec<f64>> {
+    if config.dof != Freedom::Similarity {
+        return Ok(vec![1.0]);
     }
+    let [low, high] = config.scale_bounds;
+    let known = config.known.about([0.0; 3], [0.0; 3])?;
+    if let Some(measured) = known.pose_from_control_points(config.dof) {
+        return Ok(vec![measured.target_from_source.scale]);
+    }
+    let n = ((high / low).ln() / SCALE_STEP.ln()).ceil().max(1.0);
+    Ok((0..n as usize)
+        .map(|i| low * (high / low).powf((i as f64 + 0.5) / n))
+        .collect())
 }
 
 /// How well a search at one scale went, to be compared with others.

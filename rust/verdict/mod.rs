@@ -8,10 +8,15 @@
 //! Source: ours; thresholds measured in docs/robust_search.md.
 //! Absent on purpose: points; nothing is measured here.
 
-use nalgebra::{Matrix6, SymmetricEigen};
+mod strength;
+
 use serde::{Deserialize, Serialize};
 
+pub use strength::Strength;
+
+use crate::cloud::{Point, distance_sq};
 use crate::error::{Result, require_between};
+use crate::similarity::Similarity;
 
 /// The verdict.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,6 +55,13 @@ pub struct VerdictOptions {
     /// Accept only where the least constrained direction is held by this share of what all points
     /// together could hold, in 0 to 1.
     pub accept_strength: f64,
+    /// Accept only where the pose scores so many times what chance reaches; at least 1.
+    pub accept_lead_over_chance: f64,
+    /// Accept only where points held out of the fit lie at most so many times as far away as the
+    /// points in it; at least 1.
+    pub accept_held_out_ratio: f64,
+    /// Accept only up to so many standard deviations from what was known of the pose; above 0.
+    pub accept_deviation_from_known: f64,
     /// Reject below this share of inliers, in 0 to 1.
     pub reject_inlier_share: f64,
     /// Below this lead over the best rival another pose is as good; reject then, unless the share of
@@ -64,6 +76,9 @@ impl Default for VerdictOptions {
             accept_ambiguity_ratio: 1.75,
             accept_share_times_ratio: 1.0,
             accept_strength: 0.003,
+            accept_lead_over_chance: 1.5,
+            accept_held_out_ratio: 1.5,
+            accept_deviation_from_known: 3.0,
             reject_inlier_share: 0.20,
             reject_ambiguity_ratio: 1.10,
         }
@@ -89,6 +104,17 @@ impl VerdictOptions {
         require_between("verdict.accept_ambiguity_ratio", ratio, 1.0, f64::MAX)?;
         let product = self.accept_share_times_ratio;
         require_between("verdict.accept_share_times_ratio", product, 0.0, f64::MAX)?;
+        for (name, value, least) in [
+            ("accept_lead_over_chance", self.accept_lead_over_chance, 1.0),
+            ("accept_held_out_ratio", self.accept_held_out_ratio, 1.0),
+            (
+                "accept_deviation_from_known",
+                self.accept_deviation_from_known,
+                f64::MIN_POSITIVE,
+            ),
+        ] {
+            require_between(&format!("verdict.{name}"), value, least, f64::MAX)?;
+        }
         require_between(
             "verdict.reject_ambiguity_ratio",
             self.reject_ambiguity_ratio,
@@ -107,56 +133,55 @@ pub struct Evidence {
     pub inlier_share: f64,
     /// Score of the pose by the score of its best rival; NaN where no rival was looked for.
     pub ambiguity_ratio: f64,
+    /// Where that rival lies; `None` where there is none.
+    pub rival: Option<Rival>,
     /// How firmly the common surface holds the pose.
     pub strength: Strength,
+    /// Standard error of its weakest motion, in radians for a turn and in the clouds' unit for a
+    /// shift; NaN where it is not known.
+    pub weakest_error: f64,
+    /// Score of the pose by the best that chance reaches; NaN where it was not tried.
+    pub lead_over_chance: f64,
+    /// Root mean squared distance of the pairs that were held out of the fit, by that of those in it;
+    /// NaN where none were.
+    pub held_out_ratio: f64,
+    /// How far the pose is from what was known of it, in standard deviations per number; NaN where
+    /// nothing was.
+    pub deviation_from_known: f64,
+    /// Whether the scale lies at an end of its bounds.
+    pub scale_at_bound: bool,
+    /// Whether the time was up before the search was done.
+    pub ended_early: bool,
     /// Whether the fine stage came to rest.
     pub converged: bool,
 }
 
-/// How firmly a pose is held in its least constrained direction.
+/// How another pose differs from the best one.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Strength {
-    /// 0 (slides or turns freely) to about 1/6 (held alike in all six directions).
-    pub weakest: f64,
-    /// The direction of that motion: turning (in units of the cloud's mean radius), then shifting.
-    pub direction: [f64; 6],
+pub struct Rival {
+    /// By how much it is turned.
+    pub turned_rad: f64,
+    /// By how much it moves the middle of the source.
+    pub shifted_m: f64,
 }
 
-impl Strength {
-    /// From the information matrix of a point-to-plane step about the middle of the pairs, their
-    /// total weight and the root mean squared distance of the pairs from that middle.
-    ///
-    /// Angles are measured as arcs at that radius, so that turning and shifting compare; each pair
-    /// then contributes at most about 2 to the trace.
-    pub fn new(information: &Matrix6<f64>, weight: f64, radius_m: f64) -> Self {
-        if weight.is_nan() || weight <= 0.0 || radius_m.is_nan() || radius_m <= 0.0 {
-            return Self {
-                weakest: 0.0,
-                direction: [0.0; 6],
-            };
-        }
-        let scale = |axis: usize| if axis < 3 { 1.0 / radius_m } else { 1.0 };
-        let scaled = Matrix6::from_fn(|r, c| information[(r, c)] * scale(r) * scale(c) / weight);
-        let eigen = SymmetricEigen::new(scaled);
-        let weakest = eigen.eigenvalues.imin();
+impl Rival {
+    /// How `rival` differs from `best` at the `middle` of the source.
+    pub fn between(best: &Similarity, rival: &Similarity, middle: &Point) -> Self {
         Self {
-            weakest: eigen.eigenvalues[weakest].max(0.0),
-            direction: std::array::from_fn(|i| eigen.eigenvectors[(i, weakest)]),
+            turned_rad: (rival.rigid * best.rigid.inverse()).rotation_angle_rad(),
+            shifted_m: distance_sq(&rival.apply(middle), &best.apply(middle)).sqrt(),
         }
     }
 
-    /// The weak direction in words: "shifting along (0.00, 1.00, 0.00)".
-    pub fn words(&self) -> String {
-        let (turn, shift) = self.direction.split_at(3);
-        let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
-        let (motion, axis) = if norm(turn) > norm(shift) {
-            ("turning about", turn)
-        } else {
-            ("shifting along", shift)
-        };
-        let length = norm(axis).max(f64::MIN_POSITIVE);
-        let unit: Vec<f64> = axis.iter().map(|v| v / length).collect();
-        format!("{motion} ({:.2}, {:.2}, {:.2})", unit[0], unit[1], unit[2])
+    fn words(rival: Option<&Self>) -> String {
+        rival.map_or(String::new(), |rival| {
+            format!(
+                ", which is turned by {:.0}° and shifted by {:.3} m",
+                rival.turned_rad.to_degrees(),
+                rival.shifted_m
+            )
+        })
     }
 }
 
@@ -176,7 +201,16 @@ pub struct Judgement {
 /// let evidence = Evidence {
 ///     inlier_share: 0.8,
 ///     ambiguity_ratio: 3.0,
-///     strength: Strength { weakest: 0.05, direction: [0.0, 0.0, 0.0, 1.0, 0.0, 0.0] },
+///     rival: None,
+///     strength: Strength {
+///         weakest: 0.05, direction: [0.0, 0.0, 0.0, 1.0, 0.0, 0.0], radius_m: 10.0
+///     },
+///     weakest_error: f64::NAN,
+///     lead_over_chance: 9.0,
+///     held_out_ratio: 1.0,
+///     deviation_from_known: f64::NAN,
+///     scale_at_bound: false,
+///     ended_early: false,
 ///     converged: true,
 /// };
 /// let options = VerdictOptions::default();
@@ -237,16 +271,18 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
                 Verdict::Review
             },
             format!(
-                "another pose fits almost as well (the best scores {ratio:.2} times the next): \
-                 repeated shapes, too little overlap, or clouds of different places"
+                "another pose fits almost as well (the best scores {ratio:.2} times the next{}): \
+                 repeated shapes, too little overlap, or clouds of different places",
+                Rival::words(evidence.rival.as_ref())
             ),
         );
     } else if ratio <= needed_ratio {
         lower(
             Verdict::Review,
             format!(
-                "the best pose scores {ratio:.2} times the next one, {needed_ratio:.2} times are asked \
-                 for where {:.0} % of the smaller cloud match",
+                "the best pose scores {ratio:.2} times the next one{}; {needed_ratio:.2} times are \
+                 asked for where {:.0} % of the smaller cloud match",
+                Rival::words(evidence.rival.as_ref()),
                 100.0 * share
             ),
         );
@@ -255,9 +291,55 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
         lower(
             Verdict::Review,
             format!(
-                "the common surface hardly holds the pose against {}",
-                evidence.strength.words()
+                "the common surface hardly holds the pose against {}{}",
+                evidence.strength.words(),
+                match evidence.weakest_error {
+                    error if error.is_nan() => String::new(),
+                    error if evidence.strength.is_turn() =>
+                        format!(" (standard error {:.3}°)", error.to_degrees()),
+                    error => format!(" (standard error {error:.3} m)"),
+                }
             ),
+        );
+    }
+    // Comparisons with NaN are false: what was not measured is no reproach.
+    if evidence.lead_over_chance < options.accept_lead_over_chance {
+        lower(
+            Verdict::Review,
+            format!(
+                "the pose scores only {:.2} times what random poses reach, {:.2} times are asked for",
+                evidence.lead_over_chance, options.accept_lead_over_chance
+            ),
+        );
+    }
+    if evidence.held_out_ratio > options.accept_held_out_ratio {
+        lower(
+            Verdict::Review,
+            format!(
+                "points held out of the fit lie {:.1} times as far from the other cloud as those in it",
+                evidence.held_out_ratio
+            ),
+        );
+    }
+    if evidence.deviation_from_known > options.accept_deviation_from_known {
+        lower(
+            Verdict::Review,
+            format!(
+                "the pose lies {:.1} standard deviations from the prior or the control points",
+                evidence.deviation_from_known
+            ),
+        );
+    }
+    if evidence.scale_at_bound {
+        lower(
+            Verdict::Review,
+            "the scale lies at an end of the bounds in which it was sought".into(),
+        );
+    }
+    if evidence.ended_early {
+        lower(
+            Verdict::Review,
+            "the time was up before the search had found a pose that stands out".into(),
         );
     }
     if !evidence.converged {
@@ -289,10 +371,18 @@ mod tests {
         Evidence {
             inlier_share: 0.5,
             ambiguity_ratio: 2.5,
+            rival: None,
             strength: Strength {
                 weakest: 0.02,
                 direction: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+                radius_m: 10.0,
             },
+            weakest_error: 0.01,
+            lead_over_chance: 5.0,
+            held_out_ratio: 1.0,
+            deviation_from_known: f64::NAN,
+            scale_at_bound: false,
+            ended_early: false,
             converged: true,
         }
     }
@@ -306,6 +396,46 @@ mod tests {
         };
         assert_eq!(judged(good()).0, Verdict::Accepted);
         let cases = [
+            (
+                Evidence {
+                    lead_over_chance: 1.2,
+                    ..good()
+                },
+                Verdict::Review,
+                "1.20 times what random poses reach",
+            ),
+            (
+                Evidence {
+                    held_out_ratio: 2.0,
+                    ..good()
+                },
+                Verdict::Review,
+                "held out",
+            ),
+            (
+                Evidence {
+                    deviation_from_known: 4.0,
+                    ..good()
+                },
+                Verdict::Review,
+                "4.0 standard deviations",
+            ),
+            (
+                Evidence {
+                    scale_at_bound: true,
+                    ..good()
+                },
+                Verdict::Review,
+                "scale",
+            ),
+            (
+                Evidence {
+                    ended_early: true,
+                    ..good()
+                },
+                Verdict::Review,
+                "time was up",
+            ),
             (
                 Evidence {
                     inlier_share: 0.25,

@@ -1,0 +1,107 @@
+//! What may be wrong with the input, where no pose was accepted.
+//!
+//! The same search, briefly, for a source that is mirrored or in another unit: if that stands out
+//! where the source as given did not, somebody should be told.
+
+use super::prepare::Prepared;
+use crate::cloud::{Cloud, Point};
+use crate::coarse::{self, Deadline, Problem, RobustSearchOptions, StandingOut};
+use crate::config::Config;
+use crate::error::{Error, Result};
+use crate::freedom::Freedom;
+use crate::observations::LocalObservations;
+use crate::progress::Progress;
+
+/// Factors between units that are mixed up: metres and millimetres, metres and feet.
+const UNITS: [(f64, &str); 4] = [
+    (
+        1000.0,
+        "is 1000 times too small, as if in metres beside millimetres",
+    ),
+    (
+        0.001,
+        "is 1000 times too large, as if in millimetres beside metres",
+    ),
+    (
+        1.0 / 0.3048,
+        "is 3.28 times too small, as if in metres beside feet",
+    ),
+    (
+        0.3048,
+        "is 3.28 times too large, as if in feet beside metres",
+    ),
+];
+
+/// Sentences about the source, each tried and found to fit.
+pub(super) fn doubts(
+    source: &Cloud,
+    target: &Cloud,
+    config: &Config,
+    enough: StandingOut,
+    deadline: Deadline,
+    progress: &Progress<'_>,
+) -> Result<Vec<String>> {
+    let mut found = Vec::new();
+    let fits = |source: &Cloud, scale: f64| -> Result<bool> {
+        if deadline.is_over() {
+            return Ok(false);
+        }
+        // Lengths that were set belong to the unit that was set.
+        let mut config = config.clone();
+        config.voxel.voxel_size_m = None;
+        stands_out(source, target, scale, &config, enough, deadline, progress)
+    };
+    let mirrored = mirrored(source);
+    if fits(&mirrored, 1.0)? {
+        found.push(
+            "the source fits well when mirrored: two axes are swapped, or one has the wrong sign"
+                .to_owned(),
+        );
+    }
+    let sizes = (target.extent_m() / source.extent_m()).ln();
+    for (scale, words) in UNITS {
+        // Only a unit that brings the sizes together explains anything.
+        let explains = (sizes - scale.ln()).abs() < 0.5 * sizes.abs();
+        if config.dof != Freedom::Similarity && explains && fits(source, scale)? {
+            found.push(format!(
+                "the source {words}: in the other unit it fits well"
+            ));
+        }
+    }
+    Ok(found)
+}
+
+fn stands_out(
+    source: &Cloud,
+    target: &Cloud,
+    scale: f64,
+    config: &Config,
+    enough: StandingOut,
+    deadline: Deadline,
+    progress: &Progress<'_>,
+) -> Result<bool> {
+    let prepared = Prepared::new(source, target, scale, config, progress)?;
+    let problem = Problem {
+        source: &prepared.source,
+        target: &prepared.target,
+        unit_m: prepared.unit_m,
+        freedom: Freedom::Rigid,
+        known: &LocalObservations::default(),
+    };
+    let options = RobustSearchOptions {
+        rotations_per_round: config.coarse.rotations_per_round[..1].to_vec(),
+        ..config.coarse.clone()
+    };
+    let quiet = progress.quietly();
+    match coarse::search_robust(&problem, &options, enough, deadline, config.seed, &quiet) {
+        Ok(found) => Ok(enough.is_met_by(found.inlier_share(), found.ambiguity_ratio)),
+        Err(Error::NoSolution { .. }) => Ok(false),
+        Err(other) => Err(other),
+    }
+}
+
+fn mirrored(cloud: &Cloud) -> Cloud {
+    let mirror = |p: &Point| [-p[0], p[1], p[2]];
+    let points = cloud.points().iter().map(mirror).collect();
+    Cloud::from_local(mirror(&cloud.origin()), points)
+}
