@@ -19,7 +19,7 @@ import sys
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from common import pair_by_name, pose_errors, run_all, scale_of, verdict_counts
@@ -33,7 +33,7 @@ class Case:
 
     file: str
     name: str
-    mode: str
+    mode: Literal["robust", "paper"]
     dof: int
     seed: int
     n_threads: int | None

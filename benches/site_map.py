@@ -116,17 +116,19 @@ def row(cell: tuple[float, ...], records: list[dict[str, Any]]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--starts", type=int, default=2, help="sites and poses for each cell (default 2)")
-    parser.add_argument("--areas", type=float, nargs="+", default=[1, 4, 16], help="1 to 16")
+    parser.add_argument("--areas", type=float, nargs="+", default=[1.0, 4.0, 16.0], help="1 to 16")
     parser.add_argument("--overlaps", type=float, nargs="+", default=[0.8, 0.6, 0.4, 0.3], help="0.3 to 1")
-    parser.add_argument("--densities", type=float, nargs="+", default=[1, 10, 50], help="scanner by other")
-    parser.add_argument("--noises", type=float, nargs="+", default=[0.04, 1], help="of the voxel edge")
+    parser.add_argument(
+        "--densities", type=float, nargs="+", default=[1.0, 10.0, 50.0], help="scanner by other"
+    )
+    parser.add_argument("--noises", type=float, nargs="+", default=[0.04, 1.0], help="of the voxel edge")
     parser.add_argument("--outliers", type=float, nargs="+", default=[0.01, 0.3], help="share, 0 to 0.5")
     parser.add_argument("--processes", type=int, default=1, help="runs at a time (default 1)")
     parser.add_argument("--threads", type=int, help="threads of each run (default: all)")
     parser.add_argument("--json", type=Path, help="JSON lines to keep the runs in, and to resume from")
     options = parser.parse_args()
     cells = product(options.areas, options.overlaps, options.densities, options.noises, options.outliers)
-    cases = [Case(*map(float, cell), seed) for cell in cells for seed in range(options.starts)]
+    cases = [Case(*cell, seed=seed) for cell in cells for seed in range(options.starts)]
     by_cell: dict[tuple[float, ...], list[dict[str, Any]]] = {astuple(case)[:-1]: [] for case in cases}
     job = partial(run_once, n_threads=options.threads)
     for record in run_all(job, cases, astuple, options.json, options.processes):

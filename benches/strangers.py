@@ -30,11 +30,10 @@ def noisy(points: Array, rng: Generator, noise: float = NOISE) -> Array:
 
 
 def planes(rng: Generator) -> tuple[Array, Array, bool]:
-    sides = rng.uniform(1, 4, (2, 2))
-    return (
-        *(noisy(np.pad(rng.uniform(0, side, (N_POINTS, 2)), ((0, 0), (0, 1))), rng) for side in sides),
-        False,
-    )
+    def plane() -> Array:
+        return noisy(np.pad(rng.uniform(0, rng.uniform(1, 4, 2), (N_POINTS, 2)), ((0, 0), (0, 1))), rng)
+
+    return plane(), plane(), False
 
 
 def spheres(rng: Generator) -> tuple[Array, Array, bool]:
@@ -179,7 +178,7 @@ def empty_rooms(rng: Generator) -> tuple[Array, Array, bool]:
 
 def other_rooms(rng: Generator) -> tuple[Array, Array, bool]:
     sizes = rng.uniform([3, 3, 2.4], [8, 6, 3], (2, 3))
-    return (*(room(size, 8, rng) for size in sizes), False)
+    return room(sizes[0], 8, rng), room(sizes[1], 8, rng), False
 
 
 def rooms_of_one_plan(rng: Generator) -> tuple[Array, Array, bool]:
@@ -192,7 +191,8 @@ def boxes(rng: Generator) -> tuple[Array, Array, bool]:
     sizes = rng.uniform(0.4, 1.5, (2, 3))
     if rng.random() < 0.5:
         sizes[1] = sizes[0]
-    return (*(noisy(box_surface(np.zeros(3), size, rng, N_POINTS), rng) for size in sizes), False)
+    one, other = (noisy(box_surface(np.zeros(3), size, rng, N_POINTS), rng) for size in sizes)
+    return one, other, False
 
 
 # --- ground and bodies -------------------------------------------------------------------------------
@@ -263,7 +263,7 @@ def noise_clouds(rng: Generator) -> tuple[Array, Array, bool]:
     if kind == 1:
         return rng.random(size), rng.random(size), False
     # Random walks: thin, tangled, like nothing that was scanned.
-    return (*(np.cumsum(rng.normal(size=size), axis=0) for _ in range(2)), False)
+    return np.cumsum(rng.normal(size=size), axis=0), np.cumsum(rng.normal(size=size), axis=0), False
 
 
 # --- sites -------------------------------------------------------------------------------------------
