@@ -120,7 +120,7 @@ def run_once(case: Case) -> dict[str, Any]:
         found = tmchho.register(start, target, seed=case.seed, config={"n_threads": 1})
     except (tmchho.InvalidCloudError, tmchho.NoSolutionError) as error:
         return {"verdict": "rejected", "share": 0.0, "ratio": 0.0, "seconds": 0.0, "reasons": [str(error)]}
-    wanted: Array = np.linalg.inv(away)
+    wanted = np.linalg.inv(away)
     rotation_deg, translation = pose_errors(found.transformation, wanted, start)
     is_right = (
         has_truth
