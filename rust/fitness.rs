@@ -175,14 +175,9 @@ pub fn agreement<P: FindsPartner>(
     tolerance: Tolerance,
 ) -> Agreement {
     let mut forth = Count::default();
-    each_partner(
-        moving.0,
-        &fixed.0.cloud,
-        fixed.1,
-        pose,
-        tolerance,
-        |i, _| forth.add(moving.0.weights[i]),
-    );
+    each_partner(moving.0, &fixed.0.cloud, fixed.1, pose, tolerance, |pair| {
+        forth.add(moving.0.weights[pair.from])
+    });
     let mut back = Count::default();
     let inverse = pose.inverse();
     each_partner(
@@ -191,7 +186,7 @@ pub fn agreement<P: FindsPartner>(
         moving.1,
         &inverse,
         tolerance,
-        |i, _| back.add(fixed.0.weights[i]),
+        |pair| back.add(fixed.0.weights[pair.from]),
     );
     let (moving, fixed) = (moving.0, fixed.0);
     let smaller = if moving.len() <= fixed.len() {
@@ -221,19 +216,44 @@ pub fn off_plane_noise_m<P: FindsPartner>(
     const MEDIAN_TO_DEVIATION: f64 = 1.4826;
     let mut found = Vec::new();
     let tolerance = Tolerance::within(max_distance_m);
-    each_partner(
-        moving,
-        &fixed.0.cloud,
-        fixed.1,
-        pose,
-        tolerance,
-        |_, off_plane| found.push(off_plane),
-    );
+    each_partner(moving, &fixed.0.cloud, fixed.1, pose, tolerance, |pair| {
+        found.push(pair.off_plane)
+    });
     if found.is_empty() {
         return 0.0;
     }
     let middle = found.len() / 2;
     3.0 * MEDIAN_TO_DEVIATION * *found.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// How far the surfaces of two clouds lie apart at `pose`, by how rough they are themselves: the
+/// median distance of partners from each other's planes, by the median of what the roughness of both
+/// explains. About 0.2 to 1.1 where both show the same place, more where they only resemble each
+/// other; NaN where too few witnesses of `moving` find a partner. Clouds smoother than
+/// `least_roughness_m` count as that rough.
+pub fn misfit<P: FindsPartner>(
+    moving: &Witnesses,
+    fixed: (&Witnesses, &P),
+    pose: &Similarity,
+    max_distance_m: f64,
+    least_roughness_m: f64,
+) -> f64 {
+    const LEAST_PAIRS: usize = 30;
+    let tolerance = Tolerance::within(max_distance_m);
+    let (mut apart, mut rough) = (Vec::new(), Vec::new());
+    each_partner(moving, &fixed.0.cloud, fixed.1, pose, tolerance, |pair| {
+        let own = pose.scale * moving.cloud.surfaces[pair.from].roughness_m;
+        apart.push(pair.off_plane);
+        rough.push(own.hypot(fixed.0.cloud.surfaces[pair.to].roughness_m));
+    });
+    if apart.len() < LEAST_PAIRS {
+        return f64::NAN;
+    }
+    let median = |values: &mut Vec<f64>| {
+        let middle = values.len() / 2;
+        *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    median(&mut apart) / median(&mut rough).max(least_roughness_m)
 }
 
 #[derive(Default)]
@@ -249,15 +269,21 @@ impl Count {
     }
 }
 
-/// Calls `visit` with every witness of `from` that has a partner with an agreeing normal in `to`,
-/// and how far it lies from the partner's plane.
+/// A witness and its partner, and how far it lies from the partner's plane.
+struct Partners {
+    from: usize,
+    to: usize,
+    off_plane: f64,
+}
+
+/// Calls `visit` with every witness of `from` that has a partner with an agreeing normal in `to`.
 fn each_partner<P: FindsPartner>(
     from: &Witnesses,
     to: &SurfaceCloud,
     finder: &P,
     to_from: &Similarity,
     tolerance: Tolerance,
-    mut visit: impl FnMut(usize, f64),
+    mut visit: impl FnMut(Partners),
 ) {
     /// Normals agree within 37°, whichever way they point.
     const MIN_COSINE: f64 = 0.8;
@@ -278,7 +304,11 @@ fn each_partner<P: FindsPartner>(
             .map(|axis| (moved[axis] - place[axis]) * normal[axis])
             .sum();
         if cosine.abs() > MIN_COSINE && off_plane.abs() <= tolerance.off_plane_m {
-            visit(i, off_plane.abs());
+            visit(Partners {
+                from: i,
+                to: partner,
+                off_plane: off_plane.abs(),
+            });
         }
     }
 }

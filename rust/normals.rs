@@ -26,6 +26,9 @@ pub struct Surface {
     /// Smallest eigenvalue of the covariance over the sum of all three: 0 in a plane, 1/3 at most.
     /// 0 where there is no normal.
     pub curvature: f64,
+    /// Root mean squared distance of the neighbours from their plane: noise, and what bend there is
+    /// across the neighbourhood. 0 where there is no normal.
+    pub roughness_m: f64,
 }
 
 impl Surface {
@@ -33,6 +36,7 @@ impl Surface {
     pub const NONE: Self = Self {
         normal: [0.0; 3],
         curvature: 0.0,
+        roughness_m: 0.0,
     };
 }
 
@@ -124,6 +128,7 @@ fn surface_through(points: &[Point]) -> Surface {
     Surface {
         normal: normal.map(|v| v * largest.signum()),
         curvature: lambda[2].max(0.0) / (lambda[0] + lambda[1] + lambda[2].max(0.0)),
+        roughness_m: (lambda[2].max(0.0) / points.len() as f64).sqrt(),
     }
 }
 

@@ -30,6 +30,10 @@ use crate::verdict::{Evidence, Rival, Strength, Verdict, judge};
 
 /// Voxels along the extent of the smaller cloud, where no edge is asked for.
 pub const VOXELS_PER_EXTENT: f64 = 250.0;
+/// Partners within so many voxels tell how far the surfaces lie apart; clouds smoother than this share
+/// of a voxel count as that rough.
+const MISFIT_IN_VOXELS: f64 = 2.0;
+const LEAST_ROUGHNESS_IN_VOXELS: f64 = 0.01;
 /// The fine pose is kept unless the clouds agree by less than this share of what they did before.
 const LEAST_KEPT: f64 = 0.99;
 /// A partner within so many voxels supports the pose, where no distance is asked for.
@@ -177,6 +181,13 @@ fn route(
         &pose.inverse(),
         max_distance_m / pose.scale,
     );
+    let misfit = fitness::misfit(
+        &prepared.source,
+        (&prepared.target, &target_surface.index),
+        &pose,
+        MISFIT_IN_VOXELS * voxel_size_m,
+        LEAST_ROUGHNESS_IN_VOXELS * voxel_size_m,
+    );
     let held_out = held_out_ratio(&prepared, &pose, max_distance_m);
     let strength = Strength::new(
         &support.planes.information(),
@@ -200,6 +211,7 @@ fn route(
             weakest_error,
             lead_over_chance: found.candidates[0].score / found.chance_score,
             held_out_ratio: held_out,
+            misfit,
             deviation_from_known: match known.n_observed() {
                 0 => f64::NAN,
                 n => (known.chi_squared(&pose) / n as f64).sqrt(),
@@ -254,6 +266,7 @@ fn route(
         candidates,
         lead_over_chance: found.candidates[0].score / found.chance_score,
         held_out_ratio: held_out,
+        misfit,
         ended_early: found.ended_early,
         uncertainty: fine.uncertainty,
         n_evaluations: found.n_evaluations,

@@ -66,6 +66,9 @@ pub struct Registration {
     /// Root mean squared distance of the pairs held out of the fit by that of others; NaN where there
     /// are too few.
     pub held_out_ratio: f64,
+    /// How far the surfaces lie apart, by how rough they are themselves; NaN where there are too few
+    /// pairs.
+    pub misfit: f64,
     /// Whether the time was up before the search was done.
     pub ended_early: bool,
     /// How accurate the pose is; `None` where the pairs are too few to tell.

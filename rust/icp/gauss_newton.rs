@@ -73,7 +73,7 @@ impl Pass<'_> {
         let surface = self.clouds.source_surfaces.get(i)?;
         Some(Surface {
             normal: self.pose.rigid.rotate(&surface.normal),
-            curvature: surface.curvature,
+            ..*surface
         })
     }
 

@@ -120,6 +120,7 @@ mod tests {
         Surface {
             normal: Vector3::from(normal).normalize().into(),
             curvature,
+            roughness_m: 0.0,
         }
     }
 

@@ -113,6 +113,7 @@ pub(super) fn estimate_normals<'py>(
         let unknown = Surface {
             normal: [f64::NAN; 3],
             curvature: f64::NAN,
+            roughness_m: f64::NAN,
         };
         Ok(for_given_rows(given, surfaces, unknown))
     })?;

@@ -60,6 +60,9 @@ pub struct VerdictOptions {
     /// Accept only where points held out of the fit lie at most so many times as far away as the
     /// points in it; at least 1.
     pub accept_held_out_ratio: f64,
+    /// Accept only where the surfaces lie at most so many times as far apart as they are rough
+    /// themselves; above 0.
+    pub accept_misfit: f64,
     /// Accept only up to so many standard deviations from what was known of the pose; above 0.
     pub accept_deviation_from_known: f64,
     /// Reject below this share of inliers, in 0 to 1.
@@ -73,11 +76,12 @@ impl Default for VerdictOptions {
     fn default() -> Self {
         Self {
             accept_inlier_share: 0.30,
-            accept_ambiguity_ratio: 1.75,
-            accept_share_times_ratio: 1.0,
+            accept_ambiguity_ratio: 1.45,
+            accept_share_times_ratio: 0.75,
             accept_strength: 0.003,
-            accept_lead_over_chance: 1.5,
+            accept_lead_over_chance: 1.2,
             accept_held_out_ratio: 1.5,
+            accept_misfit: 1.3,
             accept_deviation_from_known: 3.0,
             reject_inlier_share: 0.20,
             reject_ambiguity_ratio: 1.10,
@@ -107,6 +111,7 @@ impl VerdictOptions {
         for (name, value, least) in [
             ("accept_lead_over_chance", self.accept_lead_over_chance, 1.0),
             ("accept_held_out_ratio", self.accept_held_out_ratio, 1.0),
+            ("accept_misfit", self.accept_misfit, f64::MIN_POSITIVE),
             (
                 "accept_deviation_from_known",
                 self.accept_deviation_from_known,
@@ -145,6 +150,8 @@ pub struct Evidence {
     /// Root mean squared distance of the pairs that were held out of the fit, by that of those in it;
     /// NaN where none were.
     pub held_out_ratio: f64,
+    /// How far the surfaces lie apart, by how rough they are themselves; NaN where it is not known.
+    pub misfit: f64,
     /// How far the pose is from what was known of it, in standard deviations per number; NaN where
     /// nothing was.
     pub deviation_from_known: f64,
@@ -208,6 +215,7 @@ pub struct Judgement {
 ///     weakest_error: f64::NAN,
 ///     lead_over_chance: 9.0,
 ///     held_out_ratio: 1.0,
+///     misfit: 0.6,
 ///     deviation_from_known: f64::NAN,
 ///     scale_at_bound: false,
 ///     ended_early: false,
@@ -312,6 +320,16 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
             ),
         );
     }
+    if evidence.misfit > options.accept_misfit {
+        lower(
+            Verdict::Review,
+            format!(
+                "the surfaces lie {:.1} times as far apart as they are rough themselves: places that \
+                 resemble each other, or one that has changed",
+                evidence.misfit
+            ),
+        );
+    }
     if evidence.held_out_ratio > options.accept_held_out_ratio {
         lower(
             Verdict::Review,
@@ -380,6 +398,7 @@ mod tests {
             weakest_error: 0.01,
             lead_over_chance: 5.0,
             held_out_ratio: 1.0,
+            misfit: 0.6,
             deviation_from_known: f64::NAN,
             scale_at_bound: false,
             ended_early: false,
@@ -396,6 +415,14 @@ mod tests {
         };
         assert_eq!(judged(good()).0, Verdict::Accepted);
         let cases = [
+            (
+                Evidence {
+                    misfit: 4.0,
+                    ..good()
+                },
+                Verdict::Review,
+                "4.0 times as far apart",
+            ),
             (
                 Evidence {
                     lead_over_chance: 1.2,
