@@ -94,7 +94,7 @@ def main() -> int:
     parser.add_argument("--starts", type=int, default=20, help="random poses of each pair (default 20)")
     parser.add_argument("--site", type=int, default=1, help="simulated sites, 0 for none (default 1)")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="default 1 2")
-    parser.add_argument("--voxel", type=float, default=0.01, help="of the target's diagonal (default 0.01)")
+    parser.add_argument("--voxel", type=float, default=0.015, help="of the target's diagonal (default 0.015)")
     parser.add_argument("--paper", action="store_true", help="the plain paper mode, too; slow")
     parser.add_argument("--only", nargs="+", help="only pairs of these names")
     parser.add_argument("--json", type=Path, help="JSON lines to keep the runs in, and to resume from")
