@@ -55,7 +55,7 @@ def run_once(case: Case) -> dict[str, Any]:
     search_seconds = sum(stage.seconds for stage in found.stages if stage.name in SEARCH_STAGES)
     poses[SEARCH] = found.candidates[0].transformation, search_seconds
     poses[WHOLE] = found.transformation, found.seconds
-    icp = CommonIcp(source, pair.target, voxel)
+    icp = CommonIcp(source, pair.target)
     methods = {
         name: {
             "before": pair.is_right(pose, wanted, source),

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from common import Array
+from common import Array, diagonal_of
 
 import tmchho
 
@@ -138,29 +138,33 @@ PEERS: dict[str, Method] = {KISS_MATCHER: kiss_matcher, RANSAC: open3d_ransac, F
 class CommonIcp:
     """Point-to-plane ICP of Open3D from any start, with the same clouds and limits for all methods."""
 
-    def __init__(self, source: Array, target: Array, voxel: float) -> None:
+    # Shares of the target's diagonal: voxel of the clouds, reach of the normals, reach of partners.
+    VOXEL, REACH, LIMITS = 0.005, 0.02, (0.03, 0.01)
+
+    def __init__(self, source: Array, target: Array) -> None:
         import open3d
 
         self.middles = source.mean(axis=0), target.mean(axis=0)
-        self.voxel = voxel
+        self.diagonal = diagonal_of(target)
         clouds = (
             open3d_cloud(it - middle) for it, middle in zip((source, target), self.middles, strict=True)
         )
-        self.source, self.target = (cloud.voxel_down_sample(voxel / 2) for cloud in clouds)
-        self.target.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(radius=2 * voxel, max_nn=30))
+        self.source, self.target = (cloud.voxel_down_sample(self.VOXEL * self.diagonal) for cloud in clouds)
+        search = open3d.geometry.KDTreeSearchParamHybrid(radius=self.REACH * self.diagonal, max_nn=30)
+        self.target.estimate_normals(search)
 
     def refine(self, start: Array) -> Array:
-        """Return the pose at which ICP comes to rest, with partners within three voxels, then one."""
+        """Return the pose at which ICP comes to rest."""
         from open3d.pipelines import registration
 
         source_middle, target_middle = self.middles
         pose = np.array(start)
         pose[:3, 3] += pose[:3, :3] @ source_middle - target_middle
-        for limit in (3.0, 1.0):
+        for limit in self.LIMITS:
             pose = registration.registration_icp(
                 self.source,
                 self.target,
-                limit * self.voxel,
+                limit * self.diagonal,
                 pose,
                 registration.TransformationEstimationPointToPlane(),
                 registration.ICPConvergenceCriteria(max_iteration=60),
