@@ -122,8 +122,14 @@ pub struct Agreement {
     /// Witnesses of both clouds with a partner within the distance and with an agreeing normal, by
     /// twice the number of witnesses of the cloud with fewer; 0 to about 1.
     pub inlier_share: f64,
-    /// The same by weight. Compares poses of one pair of clouds.
+    /// The same by weight, divided by the misfit where that is above 1. Compares poses of one pair of
+    /// clouds.
     pub score: f64,
+    /// How far the surfaces lie apart, by how rough they are themselves: the median distance of
+    /// partners from each other's planes, by the median of what the roughness of both explains. About
+    /// 0.2 to 1.1 where both show the same place, more where they only resemble each other; NaN where
+    /// too few witnesses find a partner.
+    pub misfit: f64,
 }
 
 /// Who counts as a partner.
@@ -175,8 +181,12 @@ pub fn agreement<P: FindsPartner>(
     tolerance: Tolerance,
 ) -> Agreement {
     let mut forth = Count::default();
+    let mut apart = Misfit::default();
     each_partner(moving.0, &fixed.0.cloud, fixed.1, pose, tolerance, |pair| {
-        forth.add(moving.0.weights[pair.from])
+        forth.add(moving.0.weights[pair.from]);
+        let own = pose.scale * moving.0.cloud.surfaces[pair.from].roughness_m;
+        let theirs = fixed.0.cloud.surfaces[pair.to].roughness_m;
+        apart.add(pair.off_plane, own.hypot(theirs));
     });
     let mut back = Count::default();
     let inverse = pose.inverse();
@@ -195,13 +205,46 @@ pub fn agreement<P: FindsPartner>(
         fixed
     };
     let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
+    let misfit = apart.ratio(LEAST_ROUGHNESS * tolerance.distance_m);
+    let weight = forth.inlier_weight + back.inlier_weight;
     Agreement {
         inlier_share: share(forth.n_inliers + back.n_inliers, 2.0 * smaller.len() as f64),
-        score: share(
-            forth.inlier_weight + back.inlier_weight,
-            2.0 * smaller.weights.iter().sum::<f64>(),
-        ),
+        // The larger of 1 and NaN is 1.
+        score: share(weight, 2.0 * smaller.weights.iter().sum::<f64>()) / misfit.max(1.0),
+        misfit,
     }
+}
+
+/// Clouds smoother than this share of the tolerance count as that rough.
+const LEAST_ROUGHNESS: f64 = 0.004;
+
+/// Distances between surfaces, and what their roughness explains of them.
+#[derive(Default)]
+struct Misfit {
+    apart: Vec<f64>,
+    rough: Vec<f64>,
+}
+
+impl Misfit {
+    fn add(&mut self, apart: f64, rough: f64) {
+        self.apart.push(apart);
+        self.rough.push(rough);
+    }
+
+    /// Median by median.
+    fn ratio(&mut self, least_roughness: f64) -> f64 {
+        /// Fewer pairs tell nothing.
+        const LEAST_PAIRS: usize = 30;
+        if self.apart.len() < LEAST_PAIRS {
+            return f64::NAN;
+        }
+        median(&mut self.apart) / median(&mut self.rough).max(least_roughness)
+    }
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// Distance from the partners' planes that the clouds keep at `pose`: three times its robust
@@ -222,38 +265,7 @@ pub fn off_plane_noise_m<P: FindsPartner>(
     if found.is_empty() {
         return 0.0;
     }
-    let middle = found.len() / 2;
-    3.0 * MEDIAN_TO_DEVIATION * *found.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
-/// How far the surfaces of two clouds lie apart at `pose`, by how rough they are themselves: the
-/// median distance of partners from each other's planes, by the median of what the roughness of both
-/// explains. About 0.2 to 1.1 where both show the same place, more where they only resemble each
-/// other; NaN where too few witnesses of `moving` find a partner. Clouds smoother than
-/// `least_roughness_m` count as that rough.
-pub fn misfit<P: FindsPartner>(
-    moving: &Witnesses,
-    fixed: (&Witnesses, &P),
-    pose: &Similarity,
-    max_distance_m: f64,
-    least_roughness_m: f64,
-) -> f64 {
-    const LEAST_PAIRS: usize = 30;
-    let tolerance = Tolerance::within(max_distance_m);
-    let (mut apart, mut rough) = (Vec::new(), Vec::new());
-    each_partner(moving, &fixed.0.cloud, fixed.1, pose, tolerance, |pair| {
-        let own = pose.scale * moving.cloud.surfaces[pair.from].roughness_m;
-        apart.push(pair.off_plane);
-        rough.push(own.hypot(fixed.0.cloud.surfaces[pair.to].roughness_m));
-    });
-    if apart.len() < LEAST_PAIRS {
-        return f64::NAN;
-    }
-    let median = |values: &mut Vec<f64>| {
-        let middle = values.len() / 2;
-        *values.select_nth_unstable_by(middle, f64::total_cmp).1
-    };
-    median(&mut apart) / median(&mut rough).max(least_roughness_m)
+    3.0 * MEDIAN_TO_DEVIATION * median(&mut found)
 }
 
 #[derive(Default)]

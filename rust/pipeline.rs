@@ -30,10 +30,6 @@ use crate::verdict::{Evidence, Rival, Strength, Verdict, judge};
 
 /// Voxels along the extent of the smaller cloud, where no edge is asked for.
 pub const VOXELS_PER_EXTENT: f64 = 250.0;
-/// Partners within so many voxels tell how far the surfaces lie apart; clouds smoother than this share
-/// of a voxel count as that rough.
-const MISFIT_IN_VOXELS: f64 = 2.0;
-const LEAST_ROUGHNESS_IN_VOXELS: f64 = 0.01;
 /// The fine pose is kept unless the clouds agree by less than this share of what they did before.
 const LEAST_KEPT: f64 = 0.99;
 /// A partner within so many voxels supports the pose, where no distance is asked for.
@@ -169,10 +165,10 @@ fn route(
     // Robust mode keeps ICP's pose only where it is no worse, or where it heeds what is known; the
     // paper always takes it.
     let takes_fine = config.mode == Mode::Paper || !known.is_empty();
-    let (pose, agreed) = if takes_fine || after.score >= LEAST_KEPT * before.score {
-        (fine.target_from_source, after)
+    let (pose, agreed, uncertainty) = if takes_fine || after.score >= LEAST_KEPT * before.score {
+        (fine.target_from_source, after, fine.uncertainty)
     } else {
-        (coarse_pose, before)
+        (coarse_pose, before, None)
     };
     let support = fitness::support(source_surface, target_surface, &pose, max_distance_m);
     let support_back = fitness::support(
@@ -181,20 +177,13 @@ fn route(
         &pose.inverse(),
         max_distance_m / pose.scale,
     );
-    let misfit = fitness::misfit(
-        &prepared.source,
-        (&prepared.target, &target_surface.index),
-        &pose,
-        MISFIT_IN_VOXELS * voxel_size_m,
-        LEAST_ROUGHNESS_IN_VOXELS * voxel_size_m,
-    );
     let held_out = held_out_ratio(&prepared, &pose, max_distance_m);
     let strength = Strength::new(
         &support.planes.information(),
         support.planes.weight(),
         support.radius_m,
     );
-    let weakest_error = fine.uncertainty.as_ref().map_or(f64::NAN, |uncertainty| {
+    let weakest_error = uncertainty.as_ref().map_or(f64::NAN, |uncertainty| {
         let rigid = uncertainty.covariance.fixed_view::<6, 6>(0, 0);
         strength.standard_error(&rigid.into_owned())
     });
@@ -211,7 +200,7 @@ fn route(
             weakest_error,
             lead_over_chance: found.candidates[0].score / found.chance_score,
             held_out_ratio: held_out,
-            misfit,
+            misfit: agreed.misfit,
             deviation_from_known: match known.n_observed() {
                 0 => f64::NAN,
                 n => (known.chi_squared(&pose) / n as f64).sqrt(),
@@ -266,9 +255,9 @@ fn route(
         candidates,
         lead_over_chance: found.candidates[0].score / found.chance_score,
         held_out_ratio: held_out,
-        misfit,
+        misfit: agreed.misfit,
         ended_early: found.ended_early,
-        uncertainty: fine.uncertainty,
+        uncertainty,
         n_evaluations: found.n_evaluations,
         history: found.history,
         icp_stop: fine.stop_reason,

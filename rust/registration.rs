@@ -71,7 +71,8 @@ pub struct Registration {
     pub misfit: f64,
     /// Whether the time was up before the search was done.
     pub ended_early: bool,
-    /// How accurate the pose is; `None` where the pairs are too few to tell.
+    /// How accurate the pose is, about a place relative to the target's pivot; `None` where the pairs
+    /// are too few to tell.
     pub uncertainty: Option<PoseUncertainty>,
     /// The best poses found, best first: (pose, score).
     pub candidates: Vec<(Similarity, f64)>,

@@ -16,6 +16,7 @@ use crate::parallel;
 use crate::point_to_plane::{ScaledPlaneSums, motion_along};
 
 type Matrix7 = SMatrix<f64, 7, 7>;
+type Vector7 = SVector<f64, 7>;
 
 /// A point and the plane of its partner, about the middle of the pairs.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,8 +27,11 @@ pub struct PlanePair {
     pub normal: Point,
     /// Distance from the plane, signed.
     pub residual_m: f64,
-    /// What the pair weighs in the fit.
+    /// What the pair weighs in the fit: its pull is weight · residual.
     pub weight: f64,
+    /// How its pull grows with the residual: the weight itself for least squares, less (and below 0)
+    /// where a robust kernel lets go.
+    pub stiffness: f64,
     /// Variance of the slope of the normal in each direction.
     pub slope_variance: f64,
 }
@@ -41,7 +45,8 @@ pub struct PoseUncertainty {
     /// of zeros for what was not free.
     pub covariance: Matrix7,
     /// The 1σ displacement of a point by the errors of the pose: in all directions together, root mean
-    /// square over the points of the overlap. About the radius of the overlap where the common
+    /// square over the points of the overlap, with what the planes would still move the pose by (nothing
+    /// to speak of, unless the fit was point-to-point). About the radius of the overlap where the common
     /// surface leaves a direction open.
     ///
     /// It is the term "reg" of the level of detection of M3C2, 1.96·(√(σ₁²/n₁ + σ₂²/n₂) + reg): a
@@ -72,7 +77,7 @@ impl PoseUncertainty {
     ///     let mut normal = [0.0; 3];
     ///     (point[i % 3], normal[i % 3]) = (-5.0, 1.0);
     ///     let residual_m = 0.01 * stream.normal();
-    ///     PlanePair { point, normal, residual_m, weight: 1.0, slope_variance: 0.0 }
+    ///     PlanePair { point, normal, residual_m, weight: 1.0, stiffness: 1.0, slope_variance: 0.0 }
     /// }).collect();
     /// let none = Default::default();
     /// let found = PoseUncertainty::of_pairs(&pairs, [0.0; 3], Freedom::Rigid, &none, 0.5).unwrap();
@@ -126,10 +131,34 @@ pub fn effective_variance(pairs: &[PlanePair], freedom: Freedom, cell_m: f64) ->
     Some((inverse * scores).trace() / f64::from(freedom.dof()))
 }
 
+/// The motions that nothing but the noise of normals seems to hold, as rows of a step about the middle
+/// of the pairs: a flat floor slides. `known` is the information of other observations.
+pub fn open_motions(
+    pairs: &[PlanePair],
+    freedom: Freedom,
+    known: &ScaledPlaneSums,
+) -> Vec<[f64; 7]> {
+    let Some(fit) = Fit::of(pairs, freedom) else {
+        return Vec::new();
+    };
+    let mut open = fit.directions(&known.information());
+    open.retain(|direction| direction.held.is_none());
+    // A motion m has the part Σ u·m/scale along a direction u of the scaled parameters.
+    let row = |direction: Direction| -> [f64; 7] {
+        std::array::from_fn(|i| match fit.scale(i) {
+            0.0 => 0.0,
+            scale => direction.along[i] / scale,
+        })
+    };
+    open.into_iter().map(row).collect()
+}
+
 /// How the pairs hold the pose.
 struct Fit {
     freedom: Freedom,
     information: Matrix7,
+    /// What all pairs together pull, the negative of the gradient.
+    pull: Vector7,
     /// What of the information is noise of the normals.
     of_noise: Matrix7,
     /// Mean over the points of how a motion displaces them: displacement² = motionᵀ · this · motion.
@@ -140,11 +169,13 @@ struct Fit {
 impl Fit {
     fn of(pairs: &[PlanePair], freedom: Freedom) -> Option<Self> {
         let mut sums = [ScaledPlaneSums::default(); 3];
-        let (mut squared, mut weight) = (0.0, 0.0);
+        let (mut squared, mut weight, mut pull) = (0.0, 0.0, Vector7::zeros());
+        let usual_variance = median_slope_variance(pairs);
         for pair in pairs {
             let (p, n) = (&pair.point, &pair.normal);
-            sums[0].add(p, p, n, pair.weight);
-            let noise = pair.weight * pair.slope_variance;
+            sums[0].add(p, p, n, pair.stiffness);
+            pull -= row_of(p, n) * (pair.weight * pair.residual_m);
+            let noise = pair.stiffness * pair.slope_variance.max(usual_variance);
             let across = |r: usize, c: usize| noise * (f64::from(u8::from(r == c)) - n[r] * n[c]);
             let across =
                 [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)].map(|(r, c)| across(r, c));
@@ -158,6 +189,7 @@ impl Fit {
         residual_m.is_finite().then(|| Self {
             freedom,
             information,
+            pull,
             of_noise,
             displacement: displacement / pairs.len() as f64,
             residual_m,
@@ -172,7 +204,7 @@ impl Fit {
         }
         let mut scores = Matrix7::zeros();
         for cell in cells {
-            let mut pull = SVector::<f64, 7>::zeros();
+            let mut pull = Vector7::zeros();
             for &i in cell {
                 let pair = &pairs[i as usize];
                 pull += row_of(&pair.point, &pair.normal) * (pair.weight * pair.residual_m);
@@ -195,48 +227,88 @@ impl Fit {
             / f64::from(self.freedom.dof());
         let (bread, open) = self.bread(&(variance * known))?;
         let covariance = bread * (scores + variance * variance * known) * bread + open;
-        let error_sq = (self.displacement * covariance).trace();
+        let step = bread * self.pull;
+        let error_sq = (self.displacement * covariance).trace()
+            + (step.transpose() * self.displacement * step)[0];
         Some((error_sq.max(0.0).sqrt(), covariance, cells.len()))
     }
 
     /// The inverse of the information, without what noisy normals feign and with what is `known`
     /// beside the clouds; and the covariance of what is open.
     fn bread(&self, known: &Matrix7) -> Option<(Matrix7, Matrix7)> {
-        /// A direction is open if less than this share of its information is real.
-        const LEAST_REAL: f64 = 0.1;
-        let trace = |range: std::ops::Range<usize>| -> f64 {
-            range.map(|i| self.displacement[(i, i)]).sum()
-        };
-        // Turning and growing as arcs at the mean radius.
-        let radius_m = trace(6..7).sqrt();
-        let free = self.freedom.free();
-        let scale = |i: usize| match i {
-            _ if !free.contains(&i) => 0.0,
-            3..6 => 1.0,
-            _ => 1.0 / radius_m,
-        };
-        let scaled = |m: &Matrix7| Matrix7::from_fn(|r, c| m[(r, c)] * scale(r) * scale(c));
-        let feigned = scaled(&(self.information + known));
-        let real = scaled(&(self.information + known - self.of_noise));
-        let eigen = SymmetricEigen::new(real);
-        let least = 1e-12 * feigned.trace();
         let (mut inverse, mut open) = (Matrix7::zeros(), Matrix7::zeros());
-        for (i, direction) in eigen.eigenvectors.column_iter().enumerate() {
-            // What is not free stands in directions of its own, all zero.
-            let of_feigned = (direction.transpose() * feigned * direction)[0];
-            let is_free = (0..7).any(|axis| free.contains(&axis) && direction[axis].abs() > 1e-9);
-            let outer = direction * direction.transpose();
-            if eigen.eigenvalues[i] > (LEAST_REAL * of_feigned).max(least) {
-                inverse += outer / eigen.eigenvalues[i];
-            } else if is_free {
-                open += outer * (radius_m * radius_m);
+        for Direction { along, held } in self.directions(known) {
+            let outer = along * along.transpose();
+            match held {
+                Some(information) => inverse += outer / information,
+                None => open += outer * self.radius_m().powi(2),
             }
         }
-        (radius_m > 0.0).then(|| (scaled(&inverse), scaled(&open)))
+        (self.radius_m() > 0.0).then(|| (self.scaled(&inverse), self.scaled(&open)))
+    }
+
+    /// The principal directions of what holds the pose.
+    fn directions(&self, known: &Matrix7) -> Vec<Direction> {
+        /// A direction is open if less than this share of its information is real.
+        const LEAST_REAL: f64 = 0.5;
+        let all = self.scaled(&(self.information + known));
+        let real = SymmetricEigen::new(all - self.scaled(&self.of_noise));
+        let least = 1e-12 * all.trace();
+        let direction = |i: usize| {
+            let (along, information) = (
+                real.eigenvectors.column(i).into_owned(),
+                real.eigenvalues[i],
+            );
+            let with_noise = (along.transpose() * all * along)[0];
+            let is_held = information > (LEAST_REAL * with_noise).max(least);
+            Direction {
+                along,
+                held: is_held.then_some(information),
+            }
+        };
+        // What is not free stands in directions of its own, all zero.
+        let is_free = |direction: &Direction| {
+            (0..7).any(|i| self.scale(i) > 0.0 && direction.along[i].abs() > 1e-9)
+        };
+        (0..7).map(direction).filter(is_free).collect()
+    }
+
+    /// Root mean squared distance of the points from the middle.
+    fn radius_m(&self) -> f64 {
+        self.displacement[(6, 6)].sqrt()
+    }
+
+    /// Turning and growing are measured as arcs at the radius; what is not free is left out.
+    fn scale(&self, parameter: usize) -> f64 {
+        match parameter {
+            i if !self.freedom.free().contains(&i) => 0.0,
+            3..6 => 1.0,
+            _ => 1.0 / self.radius_m(),
+        }
+    }
+
+    fn scaled(&self, matrix: &Matrix7) -> Matrix7 {
+        Matrix7::from_fn(|r, c| matrix[(r, c)] * self.scale(r) * self.scale(c))
     }
 }
 
-fn row_of(point: &Point, normal: &Point) -> SVector<f64, 7> {
+/// A direction of the scaled parameters, with the information that holds it; `None` if it is open.
+struct Direction {
+    along: Vector7,
+    held: Option<f64>,
+}
+
+/// Points that scatter little by chance claim good normals, but have the same as their like.
+fn median_slope_variance(pairs: &[PlanePair]) -> f64 {
+    let mut variances: Vec<f64> = pairs.iter().map(|pair| pair.slope_variance).collect();
+    let middle = variances.len() / 2;
+    if variances.is_empty() {
+        return 0.0;
+    }
+    *variances.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+fn row_of(point: &Point, normal: &Point) -> Vector7 {
     let [a, b, c, d, e, f] = motion_along(point, normal);
     let growth = point[0] * normal[0] + point[1] * normal[1] + point[2] * normal[2];
     SVector::from([a, b, c, d, e, f, growth])
@@ -269,4 +341,143 @@ fn cells(pairs: &[PlanePair], smallest_m: f64) -> Vec<Vec<Vec<u32>>> {
                 .collect()
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Stream;
+
+    /// Pairs on the walls of a room of 10 m; residuals of neighbours within `patch_m` are alike.
+    fn room(n: usize, noise_m: f64, patch_m: f64, seed: u64) -> Vec<PlanePair> {
+        let mut stream = Stream::new(seed, "room", 0);
+        let waves: Vec<Point> = (0..40)
+            .map(|_| [0; 3].map(|_| stream.normal() / patch_m))
+            .collect();
+        let phases: Vec<f64> = (0..40).map(|_| 7.0 * stream.uniform()).collect();
+        let pair = |i: usize| {
+            let mut point = [0; 3].map(|_| stream.uniform_between(-5.0, 5.0));
+            let mut normal = [0.0; 3];
+            (point[i % 3], normal[i % 3]) = (if i.is_multiple_of(2) { -5.0 } else { 5.0 }, 1.0);
+            // A smooth random field with the standard deviation of the noise.
+            let wave = |(w, phase): (&Point, &f64)| {
+                (w[0] * point[0] + w[1] * point[1] + w[2] * point[2] + phase).sin()
+            };
+            let field: f64 = waves.iter().zip(&phases).map(wave).sum();
+            PlanePair {
+                point,
+                normal,
+                residual_m: noise_m * field * (2.0_f64 / 40.0).sqrt(),
+                weight: 1.0,
+                stiffness: 1.0,
+                slope_variance: 0.0,
+            }
+        };
+        (0..n).map(pair).collect()
+    }
+
+    /// The displacement, squared and averaged over the points, that a fit to the residuals makes.
+    fn displacement_sq(pairs: &[PlanePair]) -> f64 {
+        let fit = Fit::of(pairs, Freedom::Rigid).unwrap();
+        let step = Freedom::Rigid.inverse_of_free(&fit.information).unwrap() * fit.pull;
+        (step.transpose() * fit.displacement * step)[0]
+    }
+
+    #[test]
+    fn residuals_that_hang_together_do_not_count_as_many() {
+        for (patch_m, n_trials) in [(0.05, 40), (0.7, 40)] {
+            let (mut errors, mut promised, mut naive) = (0.0, 0.0, 0.0);
+            for seed in 0..n_trials {
+                let mut pairs = room(3000, 0.02, patch_m, seed);
+                errors += displacement_sq(&pairs);
+                // At rest nothing pulls: take the fit out of the residuals.
+                let fit = Fit::of(&pairs, Freedom::Rigid).unwrap();
+                let step = Freedom::Rigid.inverse_of_free(&fit.information).unwrap() * fit.pull;
+                for pair in &mut pairs {
+                    pair.residual_m += row_of(&pair.point, &pair.normal).dot(&step);
+                }
+                let none = ScaledPlaneSums::default();
+                let of = PoseUncertainty::of_pairs;
+                let found = of(&pairs, [0.0; 3], Freedom::Rigid, &none, 0.6).unwrap();
+                promised += found.registration_error_m.powi(2);
+                let inverse = Freedom::Rigid.inverse_of_free(&fit.information).unwrap();
+                naive += (fit.displacement * inverse).trace() * fit.residual_m.powi(2);
+            }
+            let ratio = (errors / promised).sqrt();
+            assert!((0.6..1.3).contains(&ratio), "{patch_m}: {ratio}");
+            // The usual formula is right for the one, and far too proud for the other.
+            let of_naive = (errors / naive).sqrt();
+            assert_eq!(of_naive > 2.0, patch_m > 0.5, "{patch_m}: {of_naive}");
+        }
+    }
+
+    #[test]
+    fn a_floor_is_open_however_noisy_its_normals() {
+        let mut stream = Stream::new(2, "floor", 0);
+        let slope = 0.01;
+        let pairs: Vec<PlanePair> = (0..4000)
+            .map(|_| {
+                let (x, y) = (
+                    stream.uniform_between(-9.0, 9.0),
+                    stream.uniform_between(-9.0, 9.0),
+                );
+                let n =
+                    nalgebra::Vector3::new(slope * stream.normal(), slope * stream.normal(), 1.0);
+                PlanePair {
+                    point: [x, y, 0.0],
+                    normal: n.normalize().into(),
+                    residual_m: 0.01 * stream.normal(),
+                    weight: 1.0,
+                    stiffness: 1.0,
+                    slope_variance: slope * slope,
+                }
+            })
+            .collect();
+        let none = ScaledPlaneSums::default();
+        let open = open_motions(&pairs, Freedom::Rigid, &none);
+        assert_eq!(open.len(), 3, "x, y and the turn about z");
+        for row in &open {
+            let [tilt_x, tilt_y, _, _, _, z, _] = row.map(f64::abs);
+            assert!(tilt_x < 0.5 && tilt_y < 0.5 && z < 0.1, "{row:?}");
+        }
+        let of = PoseUncertainty::of_pairs;
+        let found = of(&pairs, [0.0; 3], Freedom::Rigid, &none, 1.0).unwrap();
+        assert!(found.registration_error_m > 5.0);
+        // Up and down it is held, but for the slight slope that open motions have.
+        let height_m = found.at(&[0.0; 3])[(2, 2)].sqrt();
+        assert!((1e-4..1e-2).contains(&height_m), "{height_m}");
+        // Control points close it.
+        let mut known = ScaledPlaneSums::default();
+        for p in [[5.0, 0.0, 0.0], [-5.0, 3.0, 0.0], [0.0, -4.0, 0.0]] {
+            known.add_weighed(&p, &p, [1e4, 0.0, 1e4, 0.0, 0.0, 1e4]);
+        }
+        assert!(open_motions(&pairs, Freedom::Rigid, &known).is_empty());
+        let found = of(&pairs, [0.0; 3], Freedom::Rigid, &known, 1.0).unwrap();
+        let wanted = (2.0 * 1e-4 / 3.0_f64).sqrt();
+        assert!((0.9 * wanted..3.0 * wanted).contains(&found.registration_error_m));
+    }
+
+    #[test]
+    fn what_is_not_free_has_no_variance_and_few_cells_give_none() {
+        let pairs = room(600, 0.02, 0.1, 9);
+        let none = ScaledPlaneSums::default();
+        let with =
+            |freedom| PoseUncertainty::of_pairs(&pairs, [0.0; 3], freedom, &none, 0.6).unwrap();
+        let levelled = with(Freedom::Levelled);
+        for (i, variance) in levelled.covariance.diagonal().iter().enumerate() {
+            assert_eq!(*variance > 0.0, (2..6).contains(&i), "{i}");
+        }
+        assert_eq!(levelled.scale_standard_error, None);
+        let error = with(Freedom::Similarity).scale_standard_error.unwrap();
+        // 1/√(Σ (p·n)²) of 600 points, 5 m from the middle along their normals.
+        let wanted = 0.02 / (5.0 * 600.0_f64.sqrt());
+        assert!(
+            (0.5 * wanted..2.0 * wanted).contains(&error),
+            "{error} {wanted}"
+        );
+        assert!(levelled.registration_error_m < with(Freedom::Rigid).registration_error_m);
+        let of = PoseUncertainty::of_pairs;
+        assert!(of(&pairs[..8], [0.0; 3], Freedom::Rigid, &none, 0.6).is_none());
+        assert!(of(&[], [0.0; 3], Freedom::Rigid, &none, 0.6).is_none());
+    }
 }

@@ -41,6 +41,7 @@ from tmchho.errors import (
 from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike
 from tmchho.io import read, write
+from tmchho.observations import ControlPoint, PosePrior
 from tmchho.optimize import (
     BenchmarkFunction,
     MinimizeResult,
@@ -70,6 +71,7 @@ __all__ = [
     "Candidate",
     "CloudLike",
     "Config",
+    "ControlPoint",
     "DistanceStatistics",
     "Evaluation",
     "FuseOptions",
@@ -86,6 +88,7 @@ __all__ = [
     "OutlierResult",
     "PaperSearchOptions",
     "PointCloud",
+    "PosePrior",
     "ProgressEvent",
     "ReadError",
     "Registration",

@@ -152,20 +152,25 @@ class IcpOptions:
 
     Parameters
     ----------
-    method : {'point_to_point', 'point_to_plane'}, optional
+    method : {'point_to_point', 'point_to_plane', 'plane_to_plane'}, optional
         Where not given, point-to-plane in robust mode and point-to-point in paper mode.
+    kernel : {'least_squares', 'tukey'}, optional
+        What large residuals count: their square, or less and less and then nothing. Where not given,
+        Tukey's for the methods with planes.
     max_distance_m : float, optional
         Partners farther away do not count. Derived from the voxel in robust mode, no limit in paper mode
         where not given.
     kept_share : float, optional
-        Share of the pairs that count, closest first, in (0, 1].
+        Share of the pairs that count, closest first, in (0, 1]. Where not given, estimated from their
+        distances for the methods with planes, all for point-to-point.
     max_iterations : int, optional
         At least 1.
     relative_tolerance : float, optional
         Stop when the mean squared distance changes by less than this share of itself.
     """
 
-    method: Literal["point_to_point", "point_to_plane"] | None = None
+    method: Literal["point_to_point", "point_to_plane", "plane_to_plane"] | None = None
+    kernel: Literal["least_squares", "tukey"] | None = None
     max_distance_m: float | None = None
     kept_share: float | None = None
     max_iterations: int | None = None

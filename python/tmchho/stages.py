@@ -7,6 +7,7 @@ they are refused. Calls release the interpreter, and Ctrl-C ends them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,6 +18,7 @@ from tmchho import _core
 from tmchho.arguments import checked_array, checked_choice, checked_count, checked_number
 from tmchho.config import options_json
 from tmchho.inputs import CloudLike, open_points
+from tmchho.observations import ControlPoint, PosePrior, observations_json
 from tmchho.results import ReadOnlyArrays
 
 
@@ -65,8 +67,8 @@ class IcpResult(ReadOnlyArrays):
     Parameters
     ----------
     transformation : (4, 4) float64 array
-        Takes source to target coordinates.
-    stop_reason : {'converged', 'max_iterations', 'no_partners'}
+        Takes source to target coordinates; with ``dof=7`` its 3 × 3 part is scaled.
+    stop_reason : {'converged', 'max_iterations', 'no_partners', 'scale_ran_away'}
         Why it ended.
     n_iterations : int
         Iterations made.
@@ -75,7 +77,22 @@ class IcpResult(ReadOnlyArrays):
     inlier_rmse : float
         Root mean squared point distance of those pairs; NaN where there never were enough.
     history : (n,) float64 array
-        Mean squared distance after each iteration, of points or to planes, as the method says.
+        Mean squared distance at each iteration: of points, after its step, for point-to-point; across
+        planes, as the kernel weighs it, before its step, otherwise.
+    scale : float
+        Length in the target of what is one unit long in the source; 1 unless ``dof=7``.
+    registration_error : float or None
+        The 1σ displacement of a point by the errors of the pose: in all directions together, root mean
+        square over the overlap. It is the term "reg" of the level of detection of M3C2. About the radius of
+        the overlap where the common surface leaves a direction open. None for point-to-point, and with too
+        few pairs to tell.
+    covariance : (7, 7) float64 array or None
+        Of the rotation about the axes of the target (rad), the shift of `middle`, and the logarithm of the
+        scale; rows of zeros for what was not free.
+    middle : (3,) float64 array or None
+        The place in the target about which the covariance is stated.
+    scale_standard_error : float or None
+        Standard error of the scale, relative to it; None unless ``dof=7``.
     """
 
     transformation: NDArray[np.float64]
@@ -84,10 +101,15 @@ class IcpResult(ReadOnlyArrays):
     n_inliers: int
     inlier_rmse: float
     history: NDArray[np.float64]
+    scale: float
+    registration_error: float | None
+    covariance: NDArray[np.float64] | None
+    middle: NDArray[np.float64] | None
+    scale_standard_error: float | None
 
     @property
     def converged(self) -> bool:
-        """Whether the mean squared distance came to rest."""
+        """Whether the pose came to rest."""
         return self.stop_reason == "converged"
 
 
@@ -303,7 +325,11 @@ def icp(
     target: CloudLike,
     *,
     init: ArrayLike | None = None,
-    method: Literal["point_to_point", "point_to_plane"] | None = None,
+    dof: Literal[4, 6, 7] = 6,
+    prior: PosePrior | None = None,
+    control_points: Sequence[ControlPoint] | None = None,
+    method: Literal["point_to_point", "point_to_plane", "plane_to_plane"] | None = None,
+    kernel: Literal["least_squares", "tukey"] | None = None,
     max_distance: float | None = None,
     kept_share: float | None = None,
     max_iterations: int | None = None,
@@ -317,12 +343,23 @@ def icp(
         (n, 3) and (m, 3), finite.
     init : (4, 4) array_like, optional
         The pose to start from; where not given, the clouds as they lie.
-    method : {'point_to_point', 'point_to_plane'}, optional
+    dof : {4, 6, 7}
+        What is free: a turn about z and a shift (both clouds are levelled; a tilt of `init` is kept), any
+        rotation and a shift, or a scale as well.
+    prior : PosePrior, optional
+        A pose that is known with some uncertainty.
+    control_points : sequence of ControlPoint, optional
+        Places measured in both clouds.
+    method : {'point_to_point', 'point_to_plane', 'plane_to_plane'}, optional
         ``'point_to_point'`` (Eq. 8) where not given.
+    kernel : {'least_squares', 'tukey'}, optional
+        What large residuals count: their square (point-to-point where not given), or less and less and
+        then nothing (the others).
     max_distance : float, optional
         Partners farther away do not count, above 0; no limit where not given.
     kept_share : float, optional
-        Share of the pairs that count, closest first, in (0, 1].
+        Share of the pairs that count, closest first, in (0, 1]; where not given, all for point-to-point,
+        estimated from their distances otherwise.
     max_iterations : int, optional
         At least 1.
     relative_tolerance : float, optional
@@ -339,12 +376,15 @@ def icp(
 
     Notes
     -----
-    Ren, Zhao & Han (2023), Section 4.5, Eq. (8); point-to-plane after Chen & Medioni (1992), on normals
-    estimated from the target; trimming after Chetverikov et al. (2002).
+    Ren, Zhao & Han (2023), Section 4.5, Eq. (8); point-to-plane after Chen & Medioni (1992), plane-to-plane
+    after Segal, Haehnel & Thrun (2009), on normals estimated from both clouds; trimming after Chetverikov et
+    al. (2002), its share after Phillips, Liu & Tomasi (2007).
     """
-    methods = ("point_to_point", "point_to_plane")
+    methods = ("point_to_point", "point_to_plane", "plane_to_plane")
+    kernels = ("least_squares", "tukey")
     options = options_json(
         method=None if method is None else checked_choice("method", method, methods),
+        kernel=None if kernel is None else checked_choice("kernel", kernel, kernels),
         max_distance_m=_number("max_distance", max_distance),
         kept_share=_number("kept_share", kept_share),
         max_iterations=None if max_iterations is None else checked_count("max_iterations", max_iterations),
@@ -352,7 +392,8 @@ def icp(
     )
     start = np.eye(4) if init is None else checked_array("init", init, (4, 4))
     clouds = open_points(source, "source", finite=True), open_points(target, "target", finite=True)
-    return IcpResult(**_core.icp(*clouds, start, options))
+    known = observations_json(prior, control_points)
+    return IcpResult(**_core.icp(*clouds, start, checked_count("dof", dof, 4, 7), known, options))
 
 
 def _number(name: str, value: float | None) -> float | None:

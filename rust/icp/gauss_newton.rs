@@ -1,6 +1,6 @@
 //! One step of Gauss and Newton over all pairs that count, with what else is known of the pose.
 
-use super::misfit::{between_planes, common_plane};
+use super::misfit::{between_planes, common_plane, quadratic};
 use super::pairs::Pairs;
 use super::sizes::Sizes;
 use super::{Clouds, IcpMethod};
@@ -28,6 +28,12 @@ pub(super) struct Gathered {
 }
 
 impl Gathered {
+    fn weigh(&mut self, weight: f64, squared: f64) -> f64 {
+        self.squared += weight * squared;
+        self.weight += weight;
+        squared
+    }
+
     pub(super) fn mean_squared(&self) -> f64 {
         self.squared / self.weight
     }
@@ -53,6 +59,12 @@ impl Gathered {
 pub(super) fn influence(residual_sq: f64, limit_sq: f64) -> f64 {
     let rest = (1.0 - residual_sq / limit_sq).max(0.0);
     rest * rest
+}
+
+/// How the pull of a pair, influence · residual, grows with its residual.
+fn stiffness(residual_sq: f64, limit_sq: f64) -> f64 {
+    let rest = (1.0 - residual_sq / limit_sq).max(0.0);
+    rest * (1.0 - 5.0 * residual_sq / limit_sq)
 }
 
 /// What a pass reads.
@@ -89,9 +101,7 @@ impl Pass<'_> {
 
     /// The normal equations of the step, chunk by chunk.
     pub(super) fn gather(&self, progress: &Progress<'_>) -> Result<Gathered> {
-        /// Planes against planes: residuals are in units of the thinnest plane.
-        const LARGEST: f64 = 1e3;
-        let largest_sq = LARGEST * self.pairs.largest_sq();
+        let largest_sq = self.pairs.largest_sq();
         let empty = || Gathered {
             sums: ScaledPlaneSums::default(),
             squared: 0.0,
@@ -116,78 +126,76 @@ impl Pass<'_> {
         }))
     }
 
+    /// Influence goes by the distance across the common plane, whatever the method with planes: in
+    /// metres, which are those of the sensors' noise.
     #[inline]
     fn add(&self, i: usize, j: usize, to: &mut Gathered) {
         let (p, q) = self.places(i, j);
-        let residual_sq = match self.method {
-            IcpMethod::PointToPlane => {
-                let target = &self.clouds.target_surfaces[j];
-                let Some(plane) = common_plane(target, self.turned(i)) else {
-                    return;
-                };
-                let n = &plane.normal;
-                let off = (p[0] - q[0]) * n[0] + (p[1] - q[1]) * n[1] + (p[2] - q[2]) * n[2];
-                let weight = influence(off * off, self.limit_sq);
-                to.sums.add(&p, &q, n, weight);
-                to.squared += weight * off * off;
-                to.weight += weight;
-                off * off
+        let d = [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
+        let residual_sq = if self.method == IcpMethod::PointToPoint {
+            let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+            let weight = influence(squared, self.limit_sq);
+            to.sums.add_weighed(&p, &q, ALIKE.map(|v| weight * v));
+            to.weigh(weight, squared)
+        } else {
+            let (target, source) = (&self.clouds.target_surfaces[j], self.turned(i));
+            let Some(plane) = common_plane(target, source) else {
+                return;
+            };
+            let n = &plane.normal;
+            let off = d[0] * n[0] + d[1] * n[1] + d[2] * n[2];
+            let weight = influence(off * off, self.limit_sq);
+            match (self.method, source) {
+                (IcpMethod::PlaneToPlane, Some(source)) => {
+                    let matrix = between_planes(target, &source);
+                    to.sums.add_weighed(&p, &q, matrix.map(|v| weight * v));
+                }
+                _ => to.sums.add(&p, &q, n, weight),
             }
-            IcpMethod::PlaneToPlane | IcpMethod::PointToPoint => {
-                let matrix = match (self.method, self.turned(i)) {
-                    (IcpMethod::PlaneToPlane, Some(turned)) => {
-                        between_planes(&self.clouds.target_surfaces[j], &turned)
-                    }
-                    _ => ALIKE,
-                };
-                let d = [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
-                let [xx, yx, yy, zx, zy, zz] = matrix;
-                let squared = xx * d[0] * d[0]
-                    + yy * d[1] * d[1]
-                    + zz * d[2] * d[2]
-                    + 2.0 * (yx * d[0] * d[1] + zx * d[0] * d[2] + zy * d[1] * d[2]);
-                let weight = influence(squared, self.limit_sq);
-                to.sums.add_weighed(&p, &q, matrix.map(|v| weight * v));
-                to.squared += weight * squared;
-                to.weight += weight;
-                squared
-            }
+            to.weigh(weight, off * off)
         };
         to.residuals.add(residual_sq);
         to.n_pairs += 1;
     }
 
-    /// The pairs as rows of a point-to-plane step, from which the uncertainty follows; those of the
-    /// given method, or of the planes whatever the method.
+    /// The pairs as rows of a point-to-plane step, from which the uncertainty follows. `method` may be
+    /// another one than that of the fit.
     pub(super) fn rows(&self, method: IcpMethod, limit_sq: f64) -> Vec<PlanePair> {
         let mut rows = Vec::with_capacity(self.pairs.n_kept);
         for (i, j) in self.pairs.kept() {
             let (p, q) = self.places(i, j);
             let d = [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
-            let mut push = |normal: Point, slope_variance: f64| {
+            let mut push = |normal: Point, slope_variance: f64, strength: f64| {
                 let residual_m = d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2];
-                let weight = influence(residual_m * residual_m, limit_sq);
-                if weight > 0.0 {
+                let squared = residual_m * residual_m;
+                if squared < limit_sq {
                     rows.push(PlanePair {
                         point: p,
                         normal,
                         residual_m,
-                        weight,
+                        weight: strength * influence(squared, limit_sq),
+                        stiffness: strength * stiffness(squared, limit_sq),
                         slope_variance,
                     });
                 }
             };
             if method == IcpMethod::PointToPoint {
-                for axis in 0..3 {
-                    let mut along = [0.0; 3];
-                    along[axis] = 1.0;
-                    push(along, 0.0);
-                }
-            } else if let Some(plane) =
-                common_plane(&self.clouds.target_surfaces[j], self.turned(i))
-            {
-                push(plane.normal, plane.slope_variance);
+                push([1.0, 0.0, 0.0], 0.0, 1.0);
+                push([0.0, 1.0, 0.0], 0.0, 1.0);
+                push([0.0, 0.0, 1.0], 0.0, 1.0);
+                continue;
             }
+            let (target, source) = (&self.clouds.target_surfaces[j], self.turned(i));
+            let Some(plane) = common_plane(target, source) else {
+                continue;
+            };
+            let strength = match (method, source) {
+                (IcpMethod::PlaneToPlane, Some(source)) => {
+                    quadratic(&between_planes(target, &source), &plane.normal)
+                }
+                _ => 1.0,
+            };
+            push(plane.normal, plane.slope_variance, strength);
         }
         rows
     }

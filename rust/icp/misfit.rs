@@ -5,7 +5,7 @@
 //! that the smoother cloud decides, wherever it is the smoother one.
 //! Source: Segal, Haehnel & Thrun (2009), Eq. (2), for planes against planes; Rusinkiewicz (2019) for
 //! using both normals. Deviates: the thickness of a plane is its own scatter; the combined covariance
-//! is inverted in closed form from the two normals.
+//! is inverted in closed form from the two normals, without the part that is no plane's.
 
 use crate::cloud::Point;
 use crate::normals::Surface;
@@ -25,7 +25,8 @@ pub(super) struct CommonPlane {
 fn slope_variance(surface: &Surface) -> f64 {
     /// Points that lie on a plane exactly are not free of error.
     const LEAST: f64 = 1e-6;
-    (thickness(surface) / N_NORMAL_NEIGHBORS as f64).max(LEAST)
+    // The plane has taken three degrees of freedom out of the scatter.
+    (thickness(surface) / (N_NORMAL_NEIGHBORS - 3) as f64).max(LEAST)
 }
 
 /// Variance across the surface by the mean variance along it.
@@ -72,11 +73,13 @@ pub(super) fn common_plane(target: &Surface, source: Option<Surface>) -> Option<
     })
 }
 
-/// The inverse of the combined covariance of two points on their planes, in units of the variance
-/// along a plane: entries xx, yx, yy, zx, zy, zz.
+/// What the planes add to the inverse of the combined covariance of two points on them, in units of
+/// the variance along a plane: entries xx, yx, yy, zx, zy, zz.
 ///
 /// A point has the variance 1 along its plane and its thickness ε across: I − a·n·nᵀ with a = 1 − ε.
-/// Two together, 2·I − a₁·n₁·n₁ᵀ − a₂·n₂·n₂ᵀ, are inverted by Woodbury's identity.
+/// Two together, 2·I − a₁·n₁·n₁ᵀ − a₂·n₂·n₂ᵀ, are inverted by Woodbury's identity. The inverse of 2·I
+/// is left out: it pulls points along their planes to partners that merely happened to be sampled,
+/// which holds back every step and no pose.
 pub(super) fn between_planes(target: &Surface, source: &Surface) -> [f64; 6] {
     /// Segal, Haehnel & Thrun's ε: no plane is thinner.
     const THINNEST: f64 = 1e-3;
@@ -94,11 +97,7 @@ pub(super) fn between_planes(target: &Surface, source: &Surface) -> [f64; 6] {
     let of_source = 0.25 * b * (1.0 - 0.5 * a) / determinant;
     let of_both = 0.125 * a * b * cosine / determinant;
     let entry = |r: usize, c: usize| {
-        let diagonal = if r == c { 0.5 } else { 0.0 };
-        diagonal
-            + of_target * m[r] * m[c]
-            + of_source * n[r] * n[c]
-            + of_both * (m[r] * n[c] + n[r] * m[c])
+        of_target * m[r] * m[c] + of_source * n[r] * n[c] + of_both * (m[r] * n[c] + n[r] * m[c])
     };
     [
         entry(0, 0),
@@ -108,6 +107,14 @@ pub(super) fn between_planes(target: &Surface, source: &Surface) -> [f64; 6] {
         entry(2, 1),
         entry(2, 2),
     ]
+}
+
+/// vᵀ·W·v
+pub(super) fn quadratic([xx, yx, yy, zx, zy, zz]: &[f64; 6], v: &Point) -> f64 {
+    xx * v[0] * v[0]
+        + yy * v[1] * v[1]
+        + zz * v[2] * v[2]
+        + 2.0 * (yx * v[0] * v[1] + zx * v[0] * v[2] + zy * v[1] * v[2])
 }
 
 #[cfg(test)]
@@ -161,11 +168,15 @@ mod tests {
                 let n = Vector3::from(s.normal);
                 sum + Matrix3::identity() - (1.0 - thickness(s).max(1e-3)) * n * n.transpose()
             });
-            let inverse = covariance.try_inverse().unwrap();
+            let inverse: Matrix3<f64> =
+                covariance.try_inverse().unwrap() - 0.5 * Matrix3::identity();
             let got = between_planes(&pair[0], &pair[1]);
             let wanted = [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)].map(|at| inverse[at]);
             for (a, b) in got.iter().zip(wanted) {
-                assert!((a - b).abs() < 1e-9 * inverse.amax(), "{got:?} {wanted:?}");
+                assert!(
+                    (a - b).abs() < 1e-9 * (1.0 + inverse.amax()),
+                    "{got:?} {wanted:?}"
+                );
             }
         }
     }

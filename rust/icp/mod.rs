@@ -29,7 +29,7 @@ use crate::point_to_plane::ScaledPlaneSums;
 use crate::progress::{Event, Progress, Stage};
 use crate::rigid::Rigid;
 use crate::similarity::Similarity;
-use crate::uncertainty::{PoseUncertainty, effective_variance};
+use crate::uncertainty::{PoseUncertainty, effective_variance, open_motions};
 
 use gauss_newton::Pass;
 pub use options::{IcpKernel, IcpMethod, IcpOptions};
@@ -39,6 +39,9 @@ use serde::{Deserialize, Serialize};
 
 /// Tukey's constant: standard deviations beyond which a pair has no influence.
 const TUKEY: f64 = 4.685;
+
+/// How much firmer than by all planes together an open motion is held.
+const FIRM: f64 = 1e3;
 
 /// What ICP reads of the two clouds.
 #[derive(Debug, Clone, Copy)]
@@ -164,7 +167,8 @@ pub fn icp(
         method,
         pairs: Pairs::of(clouds.source.len()),
         limit_sq: f64::INFINITY,
-        middle: None,
+        middle: [0.0; 3],
+        open: Vec::new(),
     };
     let least_pairs = if method == IcpMethod::PointToPoint {
         3
@@ -187,6 +191,9 @@ pub fn icp(
         let (source, target, reach_m) = (clouds.source, clouds.target, options.max_distance_m);
         fine.pairs
             .find(source, target, &pose, reach_m, kept_share, progress)?;
+        if iteration == 0 {
+            fine.settle(&pose);
+        }
         let step = match fine.pairs.n_kept >= least_pairs {
             true => fine.step(&pose, progress)?,
             false => None,
@@ -242,7 +249,9 @@ struct Refinement<'a> {
     /// Squared residual without influence, from the residuals of the iteration before.
     limit_sq: f64,
     /// The middle of the first pairs, in the target: steps turn about it.
-    middle: Option<Point>,
+    middle: Point,
+    /// Motions that the first pairs leave open: none is made along them.
+    open: Vec<[f64; 7]>,
 }
 
 impl Refinement<'_> {
@@ -251,10 +260,13 @@ impl Refinement<'_> {
         if self.method == IcpMethod::PointToPoint && is_plain && self.known.is_empty() {
             return Ok(self.step_in_closed_form(pose));
         }
-        self.settle_middle(pose);
+        if !is_plain && self.limit_sq.is_infinite() {
+            let first = self.pass(pose).gather(progress)?;
+            self.limit_sq = TUKEY * TUKEY * first.variance(self.method);
+        }
         let pass = self.pass(pose);
         let gathered = pass.gather(progress)?;
-        let (middle, mut sums) = (pass.middle, gathered.sums);
+        let (middle, mut sums) = (self.middle, gathered.sums);
         if gathered.n_pairs < 6 && self.known.is_empty() {
             return Ok(None);
         }
@@ -265,6 +277,12 @@ impl Refinement<'_> {
             let variance = effective_variance(&rows, self.freedom, cell_m)
                 .unwrap_or_else(|| gathered.mean_squared());
             self.known.add_to(&mut sums, pose, &middle, variance);
+        }
+        // Open motions are in units of arcs, like shifts.
+        let information = sums.information();
+        let firm = FIRM * (3..6).map(|axis| information[(axis, axis)]).sum::<f64>();
+        for row in &self.open {
+            sums.add_row(row, 0.0, firm);
         }
         if !is_plain {
             self.limit_sq = TUKEY * TUKEY * gathered.variance(self.method);
@@ -309,16 +327,24 @@ impl Refinement<'_> {
         })
     }
 
-    /// Once for all iterations, so that they speak of one place.
-    fn settle_middle(&mut self, pose: &Similarity) {
-        if self.middle.is_none() {
-            let mut middle = [0.0; 3];
-            for (i, _) in self.pairs.kept() {
-                let moved = pose.apply(&self.clouds.source[i]);
-                (0..3).for_each(|axis| middle[axis] += moved[axis] / self.pairs.n_kept as f64);
-            }
-            self.middle = Some(middle);
+    /// Settles once for all iterations what steps turn about and what they must not do.
+    fn settle(&mut self, pose: &Similarity) {
+        let n = self.pairs.n_kept as f64;
+        for (i, _) in self.pairs.kept() {
+            let moved = pose.apply(&self.clouds.source[i]);
+            (0..3).for_each(|axis| self.middle[axis] += moved[axis] / n);
         }
+        if self.method != IcpMethod::PointToPoint {
+            let rows = self.pass(pose).rows(self.method, f64::INFINITY);
+            self.open = open_motions(&rows, self.freedom, &self.others(pose));
+        }
+    }
+
+    /// The observations beside the clouds, alone.
+    fn others(&self, pose: &Similarity) -> ScaledPlaneSums {
+        let mut others = ScaledPlaneSums::default();
+        self.known.add_to(&mut others, pose, &self.middle, 1.0);
+        others
     }
 
     fn pass(&self, pose: &Similarity) -> Pass<'_> {
@@ -326,7 +352,7 @@ impl Refinement<'_> {
             clouds: self.clouds,
             pairs: &self.pairs,
             pose: *pose,
-            middle: self.middle.unwrap_or_default(),
+            middle: self.middle,
             method: self.method,
             limit_sq: self.limit_sq,
         }
@@ -341,24 +367,17 @@ impl Refinement<'_> {
     }
 
     /// How accurate the pose is, by the planes of the pairs whatever the method.
-    fn uncertainty(&mut self, pose: &Similarity, rmse_m: f64) -> Option<PoseUncertainty> {
+    fn uncertainty(&self, pose: &Similarity, rmse_m: f64) -> Option<PoseUncertainty> {
         if self.clouds.target_surfaces.is_empty() {
             return None;
         }
         let cell_m = self.cell_m(rmse_m);
-        let (freedom, known) = (self.freedom, self.known);
-        let of_planes = self.method == IcpMethod::PointToPlane;
-        let limit_sq = if of_planes {
-            self.limit_sq
-        } else {
-            f64::INFINITY
+        let (method, limit_sq) = match self.method {
+            IcpMethod::PointToPoint => (IcpMethod::PointToPlane, f64::INFINITY),
+            method => (method, self.limit_sq),
         };
-        self.settle_middle(pose);
-        let pass = self.pass(pose);
-        let rows = pass.rows(IcpMethod::PointToPlane, limit_sq);
-        let mut others = ScaledPlaneSums::default();
-        known.add_to(&mut others, pose, &pass.middle, 1.0);
-        PoseUncertainty::of_pairs(&rows, pass.middle, freedom, &others, cell_m)
+        let rows = self.pass(pose).rows(method, limit_sq);
+        PoseUncertainty::of_pairs(&rows, self.middle, self.freedom, &self.others(pose), cell_m)
     }
 }
 

@@ -9,13 +9,15 @@ const DOUBLINGS: usize = 40;
 /// A class for each of the first four bits after the leading one.
 const CLASSES_PER_DOUBLING: usize = 16;
 const SHIFT: u32 = 48;
+/// Class of the largest size.
+const TOP: u64 = 1.0_f64.to_bits() >> SHIFT;
 
 /// Counts of squared distances by size; what is smaller than the smallest class counts there.
 #[derive(Debug, Clone)]
 pub(super) struct Sizes {
     counts: Vec<u32>,
-    /// Class of the largest size.
-    top: u64,
+    /// Sizes are counted as shares of it, whatever the clouds' unit.
+    largest: f64,
 }
 
 impl Sizes {
@@ -23,14 +25,15 @@ impl Sizes {
     pub(super) fn up_to(largest: f64) -> Self {
         Self {
             counts: vec![0; DOUBLINGS * CLASSES_PER_DOUBLING],
-            top: largest.to_bits() >> SHIFT,
+            largest: largest.max(f64::MIN_POSITIVE),
         }
     }
 
     /// Counts one squared distance (not negative, not NaN).
     #[inline]
     pub(super) fn add(&mut self, distance_sq: f64) {
-        let below = self.top.saturating_sub(distance_sq.to_bits() >> SHIFT) as usize;
+        let share = distance_sq / self.largest;
+        let below = TOP.saturating_sub(share.to_bits() >> SHIFT) as usize;
         let last = self.counts.len() - 1;
         self.counts[last - below.min(last)] += 1;
     }
@@ -44,7 +47,7 @@ impl Sizes {
     /// The upper end of a class.
     fn end(&self, class: usize) -> f64 {
         let below = (self.counts.len() - 1 - class) as u64;
-        f64::from_bits((self.top + 1).saturating_sub(below) << SHIFT)
+        self.largest * f64::from_bits((TOP + 1).saturating_sub(below) << SHIFT)
     }
 
     fn middle(&self, class: usize) -> f64 {
@@ -68,11 +71,12 @@ impl Sizes {
     /// The limit up to which pairs count where `n_all` points have one if the target knows their
     /// place: the one with the least RMSD / shareᵉ.
     ///
-    /// A small share lies closer, a large one says more; the exponent weighs the one against the
-    /// other.
+    /// A small share lies closer, a large one says more. At the least value the farthest pair is
+    /// √(1 + 2e) times as far apart as all are in the root mean square.
     pub(super) fn limit_of_overlap(&self, n_all: usize) -> f64 {
-        /// Phillips, Liu & Tomasi's value in space.
-        const EXPONENT: f64 = 0.95;
+        /// Above 1, lest noise whose density is greatest at 0 be trimmed to nothing; 2 keeps 97 % of
+        /// normally distributed distances, and rejects what is 2.2 times as far as the rest.
+        const EXPONENT: f64 = 2.0;
         /// Fewer points are no overlap, however close they lie.
         const LEAST_SHARE: f64 = 0.05;
         let (mut sum, mut n) = (0.0, 0.0);

@@ -54,8 +54,15 @@ pub(super) fn from_points(py: Python<'_>, points: Vec<Point>) -> PyResult<Bound<
 
 /// A (4, 4) array.
 pub(super) fn from_pose<'py>(py: Python<'py>, pose: impl Into<Similarity>) -> Bound<'py, PyAny> {
-    let rows = pose.into().to_matrix4();
-    PyArray2::from_owned_array(py, numpy::ndarray::arr2(&rows)).into_any()
+    from_rows(py, &pose.into().to_matrix4())
+}
+
+/// An array of two dimensions.
+pub(super) fn from_rows<'py, const N: usize>(
+    py: Python<'py>,
+    rows: &[[f64; N]],
+) -> Bound<'py, PyAny> {
+    PyArray2::from_owned_array(py, numpy::ndarray::arr2(rows)).into_any()
 }
 
 /// An array of one dimension.

@@ -4,7 +4,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
 use super::arrays::{
-    ReadArray, dict, for_given_rows, from_points, from_pose, from_vec, points, pose,
+    ReadArray, dict, for_given_rows, from_points, from_pose, from_rows, from_vec, points, pose,
 };
 use super::config::{options, word};
 use super::errors::as_argument;
@@ -47,6 +47,7 @@ fn registration(py: Python<'_>, found: Registration) -> PyResult<Bound<'_, PyDic
             "seconds": record.seconds,
         })?;
     }
+    let uncertainty = found.uncertainty.as_ref();
     Ok(dict! { py,
         "transformation": from_pose(py, &found.target_from_source),
         "pivot_transformation": from_pose(py, &found.about_pivots),
@@ -56,6 +57,7 @@ fn registration(py: Python<'_>, found: Registration) -> PyResult<Bound<'_, PyDic
         "reasons": found.reasons,
         "fitness": found.fitness,
         "inlier_rmse": found.inlier_rmse_m,
+        "inlier_rmse_back": found.inlier_rmse_back_m,
         "n_inliers": found.n_inliers,
         "overlap_of_source": found.overlap_of_source,
         "overlap_of_target": found.overlap_of_target,
@@ -63,6 +65,18 @@ fn registration(py: Python<'_>, found: Registration) -> PyResult<Bound<'_, PyDic
         "ambiguity_ratio": found.ambiguity_ratio,
         "strength": found.strength.weakest,
         "weakest_direction": found.strength.words(),
+        "lead_over_chance": found.lead_over_chance,
+        "held_out_ratio": found.held_out_ratio,
+        "misfit": found.misfit,
+        "ended_early": found.ended_early,
+        "scale": found.target_from_source.scale,
+        "scale_standard_error": uncertainty.and_then(|u| u.scale_standard_error),
+        "registration_error": uncertainty.map(|u| u.registration_error_m),
+        "covariance": uncertainty.map(|u| from_rows(py, &u.covariance.transpose().data.0)),
+        "covariance_middle": uncertainty.map(|u| {
+            let about = |axis: usize| u.middle[axis] + found.target_pivot[axis];
+            from_vec(py, vec![about(0), about(1), about(2)])
+        }),
         "candidates": candidates,
         "n_evaluations": found.n_evaluations,
         "history": from_vec(py, found.history),

@@ -7,19 +7,22 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use super::arrays::{
-    ReadArray, dict, for_given_rows, from_points, from_pose, from_vec, points, pose,
+    ReadArray, dict, for_given_rows, from_points, from_pose, from_rows, from_vec, points, pose,
 };
 use super::config::{options, word};
 use super::errors::as_argument;
 use super::run::{briefly, with_progress};
 use crate::cloud::{Cloud, Point};
 use crate::error::{Error, Result};
+use crate::freedom::Freedom;
 use crate::icp::{self as fine, IcpMethod, IcpOptions};
 use crate::keypoints::{self, IssOptions};
 use crate::neighbors::NeighborIndex;
 use crate::normals::{self, Surface};
+use crate::observations::Observations;
 use crate::outlier::{self, OutlierOptions};
 use crate::rigid::Rigid;
+use crate::similarity::Similarity;
 use crate::surface_cloud::N_NORMAL_NEIGHBORS;
 use crate::voxel::{self, VoxelOptions};
 use crate::{evaluate, fitness, kabsch as closed_form, spacing};
@@ -131,42 +134,63 @@ pub(super) fn icp<'py>(
     source: ReadArray<'py>,
     target: ReadArray<'py>,
     start: ReadArray<'py>,
+    dof: u8,
+    observations_json: &str,
     options_json: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (source, target) = (points(&source)?, points(&target)?);
-    let start = briefly(|| pose(&start))?;
+    let start = Similarity::from(briefly(|| pose(&start))?);
+    let freedom = briefly(|| Ok(Freedom::from_dof(dof)?))?;
+    let observations: Observations = briefly(|| Ok(options(observations_json)?))?;
     let options: IcpOptions = briefly(|| Ok(options(options_json)?))?;
     let found = with_progress(py, None, |progress| {
         let (source, target) = both(source, target)?;
+        let known = observations.about(source.origin(), target.origin())?;
         let index = NeighborIndex::new(target.points());
-        let surfaces = if options.method == Some(IcpMethod::PointToPlane) {
-            normals::estimate(target.points(), &index, N_NORMAL_NEIGHBORS, progress)?
-        } else {
-            Vec::new()
+        let (mut source_surfaces, mut target_surfaces) = (Vec::new(), Vec::new());
+        if options.method.unwrap_or(IcpMethod::PointToPoint) != IcpMethod::PointToPoint {
+            let k = N_NORMAL_NEIGHBORS;
+            let of_source = NeighborIndex::new(source.points());
+            source_surfaces = normals::estimate(source.points(), &of_source, k, progress)?;
+            target_surfaces = normals::estimate(target.points(), &index, k, progress)?;
+        }
+        let clouds = fine::Clouds {
+            source: source.points(),
+            source_surfaces: &source_surfaces,
+            target: &index,
+            target_surfaces: &target_surfaces,
         };
         let start = start.between_local_coordinates(source.origin(), target.origin());
-        let mut found = fine::icp(
-            source.points(),
-            &index,
-            &surfaces,
-            &start,
-            &options,
-            progress,
-        )
-        .map_err(as_argument)?;
-        found.target_from_source = found
-            .target_from_source
-            .between_given_coordinates(source.origin(), target.origin());
+        let mut found =
+            fine::icp(&clouds, &start, freedom, &known, &options, progress).map_err(as_argument)?;
+        let pose = found.target_from_source;
+        found.target_from_source = pose.between_given_coordinates(source.origin(), target.origin());
+        if let Some(uncertainty) = &mut found.uncertainty {
+            let origin = target.origin();
+            (0..3).for_each(|axis| uncertainty.middle[axis] += origin[axis]);
+        }
         Ok(found)
     })?;
     briefly(|| {
+        let uncertainty = found.uncertainty.as_ref();
+        let covariance = uncertainty.map(|u| {
+            let c = &u.covariance;
+            let rows: [[f64; 7]; 7] =
+                std::array::from_fn(|r| std::array::from_fn(|column| c[(r, column)]));
+            from_rows(py, &rows)
+        });
         Ok(dict! { py,
-            "transformation": from_pose(py, &found.target_from_source),
+            "transformation": from_rows(py, &found.target_from_source.to_matrix4()),
+            "scale": found.target_from_source.scale,
             "stop_reason": word(found.stop_reason),
             "n_iterations": found.n_iterations,
             "n_inliers": found.n_inliers,
             "inlier_rmse": found.inlier_rmse_m,
             "history": from_vec(py, found.history),
+            "registration_error": uncertainty.map(|u| u.registration_error_m),
+            "scale_standard_error": uncertainty.and_then(|u| u.scale_standard_error),
+            "covariance": covariance,
+            "middle": uncertainty.map(|u| from_vec(py, u.middle.to_vec())),
         })
     })
 }

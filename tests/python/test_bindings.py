@@ -207,7 +207,10 @@ def test_every_error_of_the_core_is_a_class_of_the_package() -> None:
         (errors.InvalidArgumentError, lambda: _core.complete_config('{"x": 1}')),
         (errors.InvalidArgumentError, lambda: _core.voxel_downsample(line, 0.0)),
         (errors.InvalidArgumentError, lambda: _core.fuse(line, line, 2 * np.eye(4), "{}")),
-        (errors.InvalidArgumentError, lambda: _core.icp(line, line, np.eye(4), '{"max_iteration": 3}')),
+        (
+            errors.InvalidArgumentError,
+            lambda: _core.icp(line, line, np.eye(4), 6, "{}", '{"max_iteration": 3}'),
+        ),
         (errors.NoSolutionError, _without_keypoints),
     ]
     for expected, call in cases:
