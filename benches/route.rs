@@ -7,7 +7,7 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use tmchho::coarse::{RobustSearchOptions, StandingOut, search_robust};
+use tmchho::coarse::{Deadline, Problem, RobustSearchOptions, StandingOut, search_robust};
 use tmchho::distance_field::NearestGrid;
 use tmchho::fitness::{self, Tolerance, Witnesses};
 use tmchho::freedom::Freedom;
@@ -66,8 +66,13 @@ impl Scene {
         }
     }
 
-    fn witnesses(&self) -> [Witnesses<'_>; 2] {
-        let surfaces = [&self.source_surface, &self.target_surface];
+    fn witnesses(&self) -> [Witnesses; 2] {
+        let silent = Progress::silent();
+        let surface = |points: &[Point]| {
+            let cloud = Cloud::new(points).expect("the scene is a cloud");
+            SurfaceCloud::new(&cloud, 0, &silent).expect("nobody says stop")
+        };
+        let surfaces = [surface(&self.source), surface(&self.target)];
         let spacing_m = SIDE_M / (self.target.len() as f64).sqrt();
         Witnesses::of_both(surfaces, 4000, 5.0, spacing_m, &Progress::silent())
             .expect("nobody says stop")
@@ -152,9 +157,9 @@ fn fitness(criterion: &mut Criterion) {
         bench("fitness/agreement", &mut || {
             let tolerance = Tolerance::within(REACH_M);
             black_box(fitness::agreement(
-                &moving,
-                &fixed,
-                &scene.nearly,
+                (&moving, &moving.cloud.index),
+                (&fixed, &fixed.cloud.index),
+                &scene.nearly.into(),
                 tolerance,
             ));
         });
@@ -175,14 +180,20 @@ fn stages(criterion: &mut Criterion) {
         let [moving, fixed] = scene.witnesses();
         bench("coarse/robust", &mut || {
             let (options, silent) = (RobustSearchOptions::default(), Progress::silent());
-            let unit_m = 1.4 * SIDE_M;
+            let problem = Problem {
+                source: &moving,
+                target: &fixed,
+                unit_m: 1.4 * SIDE_M,
+                freedom: Freedom::Rigid,
+                known: &LocalObservations::default(),
+            };
             // One round, however clear its answer.
             let enough = StandingOut {
                 inlier_share: 0.0,
                 ambiguity_ratio: 0.0,
                 share_times_ratio: 0.0,
             };
-            let found = search_robust(&moving, &fixed, unit_m, &options, enough, 0, &silent);
+            let found = search_robust(&problem, &options, enough, Deadline::default(), 0, &silent);
             black_box(found.is_ok());
         });
         bench("route", &mut || {

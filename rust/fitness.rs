@@ -405,40 +405,33 @@ mod tests {
         );
     }
 
-    fn agree(
-        moving: &SurfaceCloud,
-        fixed: &SurfaceCloud,
-        pose: &Rigid,
-        distance: f64,
-    ) -> Agreement {
-        let [a, b] =
-            Witnesses::of_both([moving, fixed], 400, 0.1, 0.03, &Progress::silent()).unwrap();
-        agreement(&a, &b, pose, Tolerance::within(distance))
+    fn witnesses(clouds: [SurfaceCloud; 2], n: usize, radius: f64, spacing: f64) -> [Witnesses; 2] {
+        Witnesses::of_both(clouds, n, radius, spacing, &Progress::silent()).unwrap()
+    }
+
+    fn agree(a: &Witnesses, b: &Witnesses, pose: &Rigid, tolerance: Tolerance) -> Agreement {
+        let (a, b) = ((a, &a.cloud.index), (b, &b.cloud.index));
+        agreement(a, b, &pose.into(), tolerance)
     }
 
     #[test]
     fn a_cloud_agrees_with_itself_and_not_with_itself_far_away() {
-        let cloud = surfaces(&bumpy(800, 3));
-        let here = agree(&cloud, &cloud, &Rigid::identity(), 0.01);
+        let cloud = || surfaces(&bumpy(800, 3));
+        let [a, b] = witnesses([cloud(), cloud()], 400, 0.1, 0.03);
+        let tolerance = Tolerance::within(0.01);
+        let here = agree(&a, &b, &Rigid::identity(), tolerance);
         assert_eq!(
-            here,
-            Agreement {
-                inlier_share: 1.0,
-                score: 1.0
-            }
+            (here.inlier_share, here.score, here.misfit),
+            (1.0, 1.0, 0.0)
         );
         let away = Rigid::from_euler([0.0; 3], [10.0, 0.0, 0.0]);
-        let there = agree(&cloud, &cloud, &away, 0.01);
-        assert_eq!(
-            there,
-            Agreement {
-                inlier_share: 0.0,
-                score: 0.0
-            }
-        );
-        let supported = support(&cloud, &cloud, &Rigid::identity(), 0.01);
-        assert_eq!((supported.n_inliers, supported.inlier_rmse_m), (800, 0.0));
-        assert_eq!(support(&cloud, &cloud, &away, 0.01).n_inliers, 0);
+        let there = agree(&a, &b, &away, tolerance);
+        assert_eq!((there.inlier_share, there.score), (0.0, 0.0));
+        assert!(there.misfit.is_nan());
+        let supported = |pose: Rigid| support(&a.cloud, &b.cloud, &pose.into(), 0.01);
+        let here = supported(Rigid::identity());
+        assert_eq!((here.n_inliers, here.inlier_rmse_m), (800, 0.0));
+        assert_eq!(supported(away).n_inliers, 0);
     }
 
     #[test]
@@ -447,8 +440,10 @@ mod tests {
         let half: Vec<Point> = whole.iter().copied().filter(|p| p[0] < 0.5).collect();
         let (moving, fixed) = (surfaces(&half), surfaces(&whole));
         let as_given = Rigid::identity().between_local_coordinates(moving.origin, fixed.origin);
-        let forth = agree(&moving, &fixed, &as_given, 0.01);
-        let back = agree(&fixed, &moving, &as_given.inverse(), 0.01);
+        let [a, b] = witnesses([moving, fixed], 400, 0.1, 0.03);
+        let tolerance = Tolerance::within(0.01);
+        let forth = agree(&a, &b, &as_given, tolerance);
+        let back = agree(&b, &a, &as_given.inverse(), tolerance);
         assert!(
             forth.inlier_share > 0.85 && forth.inlier_share < 1.15,
             "{forth:?}"
@@ -456,20 +451,21 @@ mod tests {
         assert!((forth.score - back.score).abs() < 1e-12);
     }
 
+    fn floor(lift: f64, seed: u64) -> SurfaceCloud {
+        let mut stream = Stream::new(seed, "floor", 0);
+        let points: Vec<Point> = (0..4000)
+            .map(|_| [stream.uniform(), stream.uniform(), stream.normal()])
+            .map(|[x, y, e]| [x, y, lift + 0.002 * e + if x > 0.5 { 0.3 } else { 0.0 }])
+            .collect();
+        surfaces(&points)
+    }
+
     #[test]
     fn noise_is_measured_off_the_planes_and_told_from_a_shift() {
-        let floor = |lift: f64, seed: u64| -> Vec<Point> {
-            let mut stream = Stream::new(seed, "floor", 0);
-            (0..4000)
-                .map(|_| [stream.uniform(), stream.uniform(), stream.normal()])
-                .map(|[x, y, e]| [x, y, lift + 0.002 * e + if x > 0.5 { 0.3 } else { 0.0 }])
-                .collect()
-        };
-        let (low, high) = (surfaces(&floor(0.0, 1)), surfaces(&floor(0.0, 2)));
+        let (low, high) = (floor(0.0, 1), floor(0.0, 2));
         let pose = Rigid::identity().between_local_coordinates(high.origin, low.origin);
-        let [a, b] =
-            Witnesses::of_both([&high, &low], 4000, 0.05, 0.016, &Progress::silent()).unwrap();
-        let noise_m = off_plane_noise_m(&a, &b, &pose, 0.05);
+        let [a, b] = witnesses([high, low], 4000, 0.05, 0.016);
+        let noise_m = off_plane_noise_m(&a, (&b, &b.cloud.index), &pose.into(), 0.05);
         // Two samplings of 2 mm each, and the noise of the normals over the step to the partner.
         assert!((0.006..0.015).contains(&noise_m), "{noise_m}");
         let tolerance = Tolerance {
@@ -480,16 +476,46 @@ mod tests {
             translation: pose.translation.add_scalar(0.02),
             ..pose
         };
-        let (here, there) = (
-            agreement(&a, &b, &pose, tolerance),
-            agreement(&a, &b, &lifted, tolerance),
-        );
+        let here = agree(&a, &b, &pose, tolerance);
+        let there = agree(&a, &b, &lifted, tolerance);
         assert!(
             here.inlier_share > 0.9 && there.inlier_share < 0.1,
             "{here:?} {there:?}"
         );
-        let lax = Tolerance::within(0.05);
-        assert!(agreement(&a, &b, &lifted, lax).inlier_share > 0.9);
+        let lax = agree(&a, &b, &lifted, Tolerance::within(0.05));
+        assert!(lax.inlier_share > 0.9);
+    }
+
+    #[test]
+    fn the_misfit_tells_a_place_from_one_a_little_higher() {
+        let (low, high) = (floor(0.0, 1), floor(0.0, 2));
+        let pose = Rigid::identity().between_local_coordinates(high.origin, low.origin);
+        let [a, b] = witnesses([high, low], 4000, 0.05, 0.016);
+        // 2 cm between surfaces of 2 mm of noise each: 20 / (2·√2) sigmas, by a median of 0.67.
+        for (lift, misfit) in [(0.0, 0.4..1.1), (0.02, 6.0..9.0)] {
+            let lifted = Rigid::from_euler([0.0; 3], [0.0, 0.0, lift]) * pose;
+            let found = agree(&a, &b, &lifted, Tolerance::within(0.04));
+            assert!(misfit.contains(&found.misfit), "{lift}: {found:?}");
+            assert!(found.inlier_share > 0.9);
+            assert!((found.score * found.misfit.max(1.0) - found.inlier_share).abs() < 0.1);
+        }
+    }
+
+    #[test]
+    fn the_near_field_counts_like_the_index() {
+        let (low, high) = (floor(0.0, 1), floor(0.0, 2));
+        let pose = Rigid::identity().between_local_coordinates(high.origin, low.origin);
+        let [a, b] = witnesses([high, low], 4000, 0.05, 0.016);
+        let field = |w: &Witnesses| NearField::new(w.cloud.points(), 0.008, 0.04, 100_000).unwrap();
+        let (near_a, near_b) = (field(&a), field(&b));
+        let tolerance = Tolerance::within(0.04);
+        for shift in [0.0, 0.01, 0.1] {
+            let moved = Rigid::from_euler([0.0; 3], [shift, 0.0, shift]) * pose;
+            let exact = agree(&a, &b, &moved, tolerance);
+            let quick = agreement((&a, &near_a), (&b, &near_b), &moved.into(), tolerance);
+            let off = (exact.inlier_share - quick.inlier_share).abs();
+            assert!(off < 0.03, "{shift}: {exact:?} {quick:?}");
+        }
     }
 
     #[test]
@@ -498,9 +524,9 @@ mod tests {
             .map(|i| [f64::from(i % 50) / 50.0, f64::from(i / 50) / 50.0])
             .map(|[x, y]| [x, y, (0.2 - (x - 0.5).abs()).max(0.0)])
             .collect();
-        let cloud = surfaces(&ridge);
-        let [witnesses, _] =
-            Witnesses::of_both([&cloud, &cloud], 2500, 0.08, 0.02, &Progress::silent()).unwrap();
+        let clouds = [surfaces(&ridge), surfaces(&ridge)];
+        let [witnesses, _] = witnesses(clouds, 2500, 0.08, 0.02);
+        let cloud = &witnesses.cloud;
         let x = |i: usize| cloud.points()[i][0] + cloud.origin[0];
         let mean = |near: fn(f64) -> bool| {
             let chosen: Vec<f64> = (0..2500)

@@ -6,6 +6,7 @@ to try it on.
 
 from tmchho import simulate
 from tmchho._core import __version__
+from tmchho.benchmarks import BenchmarkFunction, BenchmarkProblem, benchmark_functions, benchmark_value
 from tmchho.cloud import PointCloud
 from tmchho.config import (
     Config,
@@ -42,13 +43,8 @@ from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike
 from tmchho.io import read, write
 from tmchho.observations import ControlPoint, PosePrior
-from tmchho.optimize import (
-    BenchmarkFunction,
-    MinimizeResult,
-    benchmark_functions,
-    benchmark_value,
-    minimize,
-)
+from tmchho.optimize import minimize
+from tmchho.optimizer import MinimizeResult, Optimizer
 from tmchho.pipeline import evaluate, fuse, register
 from tmchho.progress import ProgressEvent
 from tmchho.results import Candidate, DistanceStatistics, Evaluation, Registration, StageRecord
@@ -67,6 +63,7 @@ from tmchho.stages import (
 
 __all__ = [
     "BenchmarkFunction",
+    "BenchmarkProblem",
     "BudgetError",
     "Candidate",
     "CloudLike",
@@ -84,6 +81,7 @@ __all__ = [
     "IssOptions",
     "MinimizeResult",
     "NoSolutionError",
+    "Optimizer",
     "OutlierOptions",
     "OutlierResult",
     "PaperSearchOptions",

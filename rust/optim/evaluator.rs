@@ -1,82 +1,261 @@
-//! Calls of the objective, counted and limited.
+//! Calls of the objective: on all cores where that pays.
+//!
+//! Why: a whole population is shared by all threads at once. But hawks move one after another, and a
+//! search that wants a single value leaves all threads but one idle. Where the objective is dear, the
+//! others therefore look ahead: a copy of the search is told what became of most points lately, better
+//! or not, and what it asks next is evaluated, too. If that was right, the next value is there when it
+//! is wanted; if not, it is thrown away. The search itself sees the same values in the same order.
+//! To know: values thrown away are not counted as evaluations of the search, because they depend on
+//! the machine. With one thread there are none.
+
+use std::time::{Duration, Instant};
 
 use crate::parallel;
 
-use super::Objective;
+use super::{Objective, Search};
 
-/// Every call of the objective goes through here; values that are not a number become +∞.
+/// Waking other threads costs some microseconds; work below this stays on one.
+const WORTH_SHARING: Duration = Duration::from_micros(100);
+
+/// One call in so many is timed, as long as the objective is not known to be dear.
+const TIMED_CALL: usize = 32;
+
+/// So many timed calls must all be worth sharing before threads look ahead: one of them may have been
+/// interrupted.
+const N_TIMED: usize = 4;
+
+/// Finds the values that a search asks for.
 pub(super) struct Evaluator<'a> {
     objective: &'a dyn Objective,
-    max_evaluations: usize,
-    pub(super) n_evaluations: usize,
-    pub(super) n_nan: usize,
+    values: Vec<f64>,
+    /// What the search may ask next, in the order in which it would.
+    foreseen: Vec<Foreseen>,
+    n_calls: usize,
+    /// How many calls on end were worth sharing.
+    n_dear: usize,
+    habits: Habits,
+}
+
+/// The share of points that were better lately: of those a member goes to in any case, and of those
+/// it only goes to if they are better.
+#[derive(Debug, Clone, Copy, Default)]
+struct Habits {
+    of_moves: f64,
+    of_trials: f64,
+}
+
+impl Habits {
+    fn of(&mut self, limit: f64) -> &mut f64 {
+        if limit == f64::INFINITY {
+            &mut self.of_moves
+        } else {
+            &mut self.of_trials
+        }
+    }
+
+    /// Takes in whether the value was better than that of its rival, if it has one.
+    fn learn(&mut self, value: f64, limit: f64, rival: f64) {
+        if rival < f64::INFINITY {
+            let habit = self.of(limit);
+            *habit += 0.1 * (f64::from(u8::from(value < rival)) - *habit);
+        }
+    }
+
+    /// A value that is better, or not, as most were.
+    fn guess(&mut self, limit: f64) -> f64 {
+        if *self.of(limit) > 0.5 {
+            f64::NEG_INFINITY
+        } else {
+            f64::INFINITY
+        }
+    }
+}
+
+struct Foreseen {
+    point: Vec<f64>,
+    limit: f64,
+    value: f64,
 }
 
 impl<'a> Evaluator<'a> {
-    /// At most `max_evaluations` calls; `None` for no limit.
-    pub(super) fn new(objective: &'a dyn Objective, max_evaluations: Option<usize>) -> Self {
+    pub(super) fn new(objective: &'a dyn Objective) -> Self {
         Self {
             objective,
-            max_evaluations: max_evaluations.unwrap_or(usize::MAX),
-            n_evaluations: 0,
-            n_nan: 0,
+            values: Vec::new(),
+            foreseen: Vec::new(),
+            n_calls: 0,
+            n_dear: 0,
+            habits: Habits::default(),
         }
     }
 
-    pub(super) fn is_spent(&self) -> bool {
-        self.n_evaluations >= self.max_evaluations
-    }
-
-    /// The value at `x`, or `None` once the calls are used up.
-    pub(super) fn one(&mut self, x: &[f64]) -> Option<f64> {
-        if self.is_spent() {
-            return None;
+    /// The values at the points that `search` asks for, in their order.
+    pub(super) fn values(&mut self, search: &Search) -> &[f64] {
+        self.values.clear();
+        let (points, limit) = (search.ask(), search.limit());
+        if let [point] = points {
+            let value = self.single(search, point, limit);
+            self.values.push(value);
+        } else if let [first, others @ ..] = points {
+            let (value, duration) = self.timed(first, limit);
+            self.values.push(value);
+            let value = |x: &Vec<f64>| value_at(self.objective, x, limit);
+            if duration * others.len() as u32 > WORTH_SHARING {
+                let shared = parallel::map(others.len(), |i| value(&others[i]));
+                self.values.extend(shared);
+            } else {
+                self.values.extend(others.iter().map(value));
+            }
         }
-        Some(self.count(self.objective.evaluate(x)))
+        &self.values
     }
 
-    /// The value at `x` where it is below `limit`, else any that is not; `None` once the calls are
-    /// used up.
-    pub(super) fn one_below(&mut self, x: &[f64], limit: f64) -> Option<f64> {
-        if self.is_spent() {
-            return None;
+    fn single(&mut self, search: &Search, point: &[f64], limit: f64) -> f64 {
+        if !self.foreseen.is_empty() {
+            let Foreseen {
+                point: foreseen,
+                limit: foreseen_limit,
+                value,
+            } = self.foreseen.remove(0);
+            let same = |(a, b): (&f64, &f64)| a.to_bits() == b.to_bits();
+            if foreseen.iter().zip(point).all(same) && same((&foreseen_limit, &limit)) {
+                self.habits.learn(value, limit, search.rival());
+                return value;
+            }
+            self.foreseen.clear();
         }
-        Some(self.count(self.objective.evaluate_below(x, limit)))
-    }
-
-    /// The values at all `points`, in order and in parallel; only the first ones where the calls
-    /// do not suffice.
-    pub(super) fn many(&mut self, points: &[&[f64]]) -> Vec<f64> {
-        let n = points.len().min(self.max_evaluations - self.n_evaluations);
-        let values = parallel::map(n, |i| self.objective.evaluate(points[i]));
-        values.into_iter().map(|value| self.count(value)).collect()
-    }
-
-    fn count(&mut self, value: f64) -> f64 {
-        self.n_evaluations += 1;
-        if value.is_nan() {
-            self.n_nan += 1;
-            return f64::INFINITY;
+        self.n_calls += 1;
+        if self.n_dear < N_TIMED {
+            return if self.n_calls.is_multiple_of(TIMED_CALL) || self.n_dear > 0 {
+                self.timed(point, limit).0
+            } else {
+                value_at(self.objective, point, limit)
+            };
         }
+        let n_threads = parallel::n_threads();
+        if n_threads == 1 {
+            return value_at(self.objective, point, limit);
+        }
+        let ahead = look_ahead(search, n_threads, self.habits);
+        let values = parallel::map(ahead.len(), |i| {
+            value_at(self.objective, &ahead[i].point, ahead[i].limit)
+        });
+        self.foreseen = ahead;
+        for (foreseen, value) in self.foreseen.iter_mut().zip(values) {
+            foreseen.value = value;
+        }
+        let value = self.foreseen.remove(0).value;
+        self.habits.learn(value, limit, search.rival());
         value
     }
+
+    fn timed(&mut self, point: &[f64], limit: f64) -> (f64, Duration) {
+        let begun = Instant::now();
+        let value = value_at(self.objective, point, limit);
+        let duration = begun.elapsed();
+        self.n_dear = if duration > WORTH_SHARING {
+            self.n_dear + 1
+        } else {
+            0
+        };
+        (value, duration)
+    }
+}
+
+fn value_at(objective: &dyn Objective, x: &[f64], limit: f64) -> f64 {
+    if limit == f64::INFINITY {
+        objective.evaluate(x)
+    } else {
+        objective.evaluate_below(x, limit)
+    }
+}
+
+/// The single point that `search` asks for, and those that it would ask for next if all points were
+/// what they have been by habit; `n` at most. Their values are still to be found.
+fn look_ahead(search: &Search, n: usize, mut habits: Habits) -> Vec<Foreseen> {
+    let mut fork = search.fork();
+    let mut ahead: Vec<Foreseen> = Vec::with_capacity(n);
+    while let [point] = fork.ask()
+        && ahead.len() < n
+    {
+        let limit = fork.limit();
+        ahead.push(Foreseen {
+            point: point.clone(),
+            limit,
+            value: f64::NAN,
+        });
+        if fork.tell(&[habits.guess(limit)]).is_err() {
+            break;
+        }
+    }
+    ahead
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::optim::{Bounds, Method, Optimizer, SwarmOptions};
+    use crate::parallel::with_threads;
 
     #[test]
-    fn calls_are_counted_and_end_at_the_limit() {
-        let objective = |x: &[f64]| x[0].sqrt();
-        let mut evaluator = Evaluator::new(&objective, Some(4));
-        assert_eq!(evaluator.many(&[&[4.0], &[-1.0]]), [2.0, f64::INFINITY]);
-        assert_eq!(evaluator.one(&[9.0]), Some(3.0));
-        assert_eq!(evaluator.many(&[&[16.0], &[25.0]]), [4.0]);
-        assert!(evaluator.is_spent());
-        assert_eq!(evaluator.one(&[9.0]), None);
-        assert_eq!(evaluator.one_below(&[9.0], 1.0), None);
-        assert!(evaluator.many(&[&[1.0]]).is_empty());
-        assert_eq!((evaluator.n_evaluations, evaluator.n_nan), (4, 1));
+    fn looking_ahead_changes_nothing_that_is_found() {
+        let bounds = Bounds::cube(3, -4.0, 7.0).unwrap();
+        let value = |x: &[f64]| x.iter().map(|x| (x - 1.0).abs()).sum::<f64>();
+        let dear = |x: &[f64]| {
+            std::thread::sleep(2 * WORTH_SHARING);
+            value(x)
+        };
+        for method in Method::ALL {
+            let options = SwarmOptions {
+                population_size: Some(6),
+                n_iterations: Some(8),
+                ..SwarmOptions::new(method)
+            };
+            let expected = options.minimize(&value, &bounds, 3).unwrap();
+            for n_threads in [1, 2, 4] {
+                let found =
+                    with_threads(Some(n_threads), || options.minimize(&dear, &bounds, 3)).unwrap();
+                assert_eq!(found, expected, "{method:?} {n_threads}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_foreseen_is_what_is_asked_where_the_guess_is_right() {
+        let bounds = Bounds::cube(2, -1.0, 1.0).unwrap();
+        let options = SwarmOptions::new(Method::Tmchho);
+        for share in [0.0, 1.0] {
+            let mut habits = Habits {
+                of_moves: share,
+                of_trials: share,
+            };
+            let mut search = options.search(&bounds, 5, &[]).unwrap();
+            search.tell(&[1.0; 30]).unwrap();
+            let ahead = look_ahead(&search, 4, habits);
+            assert_eq!(ahead.len(), 4);
+            for foreseen in ahead {
+                assert_eq!(search.ask(), [foreseen.point]);
+                assert_eq!(search.limit(), foreseen.limit);
+                search.tell(&[habits.guess(foreseen.limit)]).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn habits_follow_what_happens() {
+        let mut habits = Habits::default();
+        let infinite = f64::INFINITY;
+        assert_eq!(habits.guess(1.0), infinite);
+        for _ in 0..10 {
+            habits.learn(0.5, 1.0, 1.0);
+            habits.learn(2.0, infinite, 1.0);
+            habits.learn(2.0, infinite, infinite);
+        }
+        assert_eq!(habits.guess(1.0), -infinite);
+        assert_eq!(habits.guess(infinite), infinite);
+        for _ in 0..10 {
+            habits.learn(1.0, 1.0, 1.0);
+        }
+        assert_eq!(habits.guess(1.0), infinite);
     }
 }
