@@ -100,7 +100,13 @@ fn route(
     log.end(source_cleaned.len(), target_cleaned.len());
 
     let mut best: Option<(Prepared, CoarseResult)> = None;
-    for scale in search::scales(&config)? {
+    let scales = search::scales(&config)?;
+    let enough = search::enough(&config).in_first_round();
+    if scales.len() > 1 {
+        config.coarse.rotations_per_round =
+            search::rounds_at_each_scale(&config.coarse.rotations_per_round);
+    }
+    for scale in scales {
         log.begin(Stage::Voxel, source_cleaned.len(), target_cleaned.len())?;
         let prepared = Prepared::new(&source_cleaned, &target_cleaned, scale, &config, progress)?;
         log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
@@ -110,9 +116,13 @@ fn route(
             other => other?,
         };
         log.keep();
+        let stands_out = enough.is_met_by(found.inlier_share(), found.ambiguity_ratio);
         let merit = search::merit(&found);
         if best.as_ref().is_none_or(|(_, b)| merit > search::merit(b)) {
             best = Some((prepared, found));
+        }
+        if stands_out {
+            break;
         }
     }
     let (mut prepared, found) = best.ok_or_else(|| Error::NoSolution {

@@ -55,7 +55,8 @@ pub struct StandingOut {
 }
 
 impl StandingOut {
-    fn in_first_round(self) -> Self {
+    /// The same for a search that has met few rivals yet.
+    pub fn in_first_round(self) -> Self {
         Self {
             inlier_share: self.inlier_share.max(FIRST_ROUND_SHARE),
             ambiguity_ratio: self.ambiguity_ratio.max(FIRST_ROUND_RATIO),
