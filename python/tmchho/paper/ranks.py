@@ -1,0 +1,119 @@
+"""Ranks of the six optimisers over Table 3, and whether the differences are more than chance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tmchho.paper import table3
+from tmchho.paper.methods import PAPER_METHODS, title
+from tmchho.paper.plan import Content, Run, Section
+from tmchho.paper.printed import printed_number, printed_row
+from tmchho.paper.statistics import holm, rank_sum_p, ranking
+from tmchho.paper.tables import Column, Table
+from tmchho.paper.words import how_searched, listing, p_text
+
+SIGNIFICANT = 0.05
+_RIVALS = tuple(method for method in PAPER_METHODS if method != "tmchho")
+
+
+def rank_rows(runs: list[Run]) -> list[dict[str, Any]]:
+    """Return the mean rank of each method, by our medians and by the printed averages."""
+    ours: dict[Any, dict[str, float]] = {}
+    theirs: dict[Any, dict[str, float]] = {}
+    for (function, dimension, method), median in table3.medians(runs).items():
+        printed = printed_number(
+            printed_row(3, function=function, algorithm=method.upper(), dimension=dimension), "ave"
+        )
+        ours.setdefault((function, dimension), {})[method] = median
+        if printed is not None:
+            theirs.setdefault((function, dimension), {})[method] = printed
+    here, there = ranking(ours), ranking(theirs)
+    rows: list[dict[str, Any]] = [
+        {"algorithm": title(m), "printed_rank": there.mean_ranks[m], "rank": here.mean_ranks[m]}
+        for m in PAPER_METHODS
+    ]
+    friedman = {"algorithm": "Friedman's χ²", "printed_rank": there.statistic, "rank": here.statistic}
+    return [*rows, friedman, {"algorithm": "p", "printed_rank": there.p, "rank": here.p}]
+
+
+def pairwise_tests(runs: list[Run]) -> list[dict[str, Any]]:
+    """Return Wilcoxon's rank-sum test of TMCHHO against each rival on each function and dimension."""
+    cells = {
+        cell: [run.result["fun"] for run in of_cell] for cell, of_cell in table3.by_cell(runs).items()
+    }
+    medians = table3.medians(runs)
+    rows: list[dict[str, Any]] = []
+    for rival in _RIVALS:
+        of_rival: list[dict[str, Any]] = []
+        for function, dimension, _ in (cell for cell in cells if cell[2] == "tmchho"):
+            here, there = (function, dimension, "tmchho"), (function, dimension, rival)
+            of_rival.append(
+                {
+                    "rival": title(rival),
+                    "function": function,
+                    "dimension": dimension,
+                    "median_tmchho": medians[here],
+                    "median_rival": medians[there],
+                    "p": rank_sum_p(cells[here], cells[there]),
+                }
+            )
+        for row, corrected in zip(of_rival, holm([row["p"] for row in of_rival]), strict=True):
+            row["p_holm"] = corrected
+        rows += of_rival
+    return rows
+
+
+def show(runs: list[Run]) -> Content:
+    """Make the section of ranks and tests."""
+    tests = pairwise_tests(runs)
+    ranks = rank_rows(runs)
+    columns = [
+        Column("rival", "TMCHHO against"),
+        Column("function", "function"),
+        Column("dimension", "D"),
+        Column("median_tmchho", "median TMCHHO", ".2e"),
+        Column("median_rival", "median rival", ".2e"),
+        Column("p", "p", ".2g"),
+        Column("p_holm", "p, Holm", ".2g"),
+    ]
+    return Content(
+        how=(
+            how_searched(runs),
+            "Ranks: 1 is best, ties share theirs; by medians here, by averages where printed. Tests: Wilcoxon's "
+            f"rank-sum test, two-sided, corrected after Holm for the functions of each rival; below "
+            f"{SIGNIFICANT:g} a difference counts.",
+        ),
+        tables=(
+            Table(
+                "ranks",
+                "Mean rank over functions and dimensions, and Friedman's test of whether the six differ.",
+                [
+                    Column("algorithm", "algorithm"),
+                    Column("printed_rank", "printed averages", ".3g", is_printed=True),
+                    Column("rank", "here", ".3g"),
+                ],
+                ranks,
+            ),
+            Table("ranks_tests", "TMCHHO against each rival.", columns, tests),
+        ),
+        findings=tuple(_findings(ranks, tests)),
+        differences=("The paper prints no tests, and shows averages in bold without asking what chance does.",),
+    )
+
+
+def _findings(ranks: list[dict[str, Any]], tests: list[dict[str, Any]]) -> list[str]:
+    order = sorted(ranks[: len(PAPER_METHODS)], key=lambda row: float(row["rank"]))
+    found = ["By mean rank here: " + listing([f"{row['algorithm']} ({row['rank']:.2f})" for row in order])]
+    found[0] += f"; Friedman's test has {p_text(ranks[-1]['rank'])}."
+    for rival in map(title, _RIVALS):
+        real = [row for row in tests if row["rival"] == rival and row["p_holm"] < SIGNIFICANT]
+        n_all = sum(row["rival"] == rival for row in tests)
+        better = sum(row["median_tmchho"] < row["median_rival"] for row in real)
+        found.append(
+            f"Against {rival}: TMCHHO is better on {better}, worse on {len(real) - better}, not to be told apart "
+            f"on {n_all - len(real)} of {n_all}."
+        )
+    return found
+
+
+SECTION = Section("ranks", "Ranks and tests for Table 3", table3.SERIES, show)

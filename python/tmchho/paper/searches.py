@@ -1,0 +1,107 @@
+"""The job "minimize": one search on one function, by one of our methods or one of a library."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+from tmchho.errors import StoppedError
+from tmchho.optimize import MinimizeResult, minimize
+from tmchho.paper.library import search_by_library
+from tmchho.paper.methods import LIBRARY_METHODS
+from tmchho.paper.plan import Job, Result, Settings, ShouldStop
+from tmchho.paper.problems import Problem, problem
+
+POPULATION = 30
+# Not stated in the paper; the iterations follow from its averages (docs/paper_map.md, reading 4).
+ITERATIONS = 100
+DIMENSIONS = (10, 50)
+
+
+def function_jobs(
+    settings: Settings,
+    *,
+    default_runs: int,
+    functions: tuple[str, ...],
+    methods: tuple[str, ...],
+    dimensions: tuple[int, ...] = DIMENSIONS,
+    places: tuple[str, ...] = ("origin",),
+    max_evaluations: int | None = None,
+    switches: dict[str, bool] | None = None,
+) -> list[Job]:
+    """Return one job for every method on every function, dimension, place and seed.
+
+    Parameters
+    ----------
+    settings : Settings
+    default_runs : int
+        Where the user says nothing.
+    functions, methods, dimensions, places
+        What is combined.
+    max_evaluations : int, optional
+        Every method gets just as many calls of the function; where not given, as many iterations.
+    switches : dict, optional
+        ``chaotic_start`` and ``trigonometric_mutation``, for the ablation.
+    """
+    return [
+        {
+            "task": "minimize",
+            "function": function,
+            "dimension": dimension,
+            "place": place,
+            "method": method,
+            "seed": seed,
+            "n_population": POPULATION,
+            "n_iterations": settings.n_iterations or ITERATIONS,
+            "max_evaluations": max_evaluations,
+            "switches": switches or {},
+        }
+        for function, dimension, place, method, seed in product(
+            functions, dimensions, places, methods, settings.seeds(default_runs)
+        )
+    ]
+
+
+def run_function_job(job: Job, should_stop: ShouldStop) -> Result:
+    """Do one search.
+
+    Returns
+    -------
+    dict
+        ``fun`` and ``n_evaluations``; ``history`` too where the search is one of the paper's.
+    """
+    task = problem(job["function"], job["dimension"], job["place"], job["seed"])
+    if job["method"] in LIBRARY_METHODS:
+        value, n_evaluations = search_by_library(task, job["method"], job["max_evaluations"], job["seed"])
+        return {"fun": value, "n_evaluations": n_evaluations}
+    n_iterations, limit = job["n_iterations"], job["max_evaluations"]
+    if limit is not None:
+        # Methods call the function unequally often in an iteration, and HHO plans ahead for all its iterations:
+        # a first search of the usual length tells how many iterations the calls will last for.
+        pilot = _search(task, job, n_iterations, None, should_stop)
+        n_iterations = max(1, limit * pilot.nit // pilot.nfev)
+    found = _search(task, job, n_iterations, limit, should_stop)
+    result: Result = {"fun": found.fun, "n_evaluations": found.nfev}
+    if limit is None and job["place"] == "origin":
+        result["history"] = found.history.tolist()
+    return result
+
+
+def _search(
+    task: Problem, job: Job, n_iterations: int, limit: int | None, should_stop: ShouldStop
+) -> MinimizeResult:
+    options: dict[str, Any] = {"max_evaluations": limit} if limit is not None else {}
+    found = minimize(
+        job["function"] if job["place"] == "origin" else task,
+        [(-task.half_range, task.half_range)] * task.dimension,
+        method=job["method"],
+        n_hawks=job["n_population"],
+        n_iterations=n_iterations,
+        seed=job["seed"],
+        callback=lambda _x, _value: should_stop(),
+        **options,
+        **job["switches"],
+    )
+    if should_stop():
+        raise StoppedError("stopped by the user")
+    return found
