@@ -27,7 +27,11 @@ _DEFAULTS = Settings()
     help="Searches for each figure.  [default: 30 on functions, 15 at equal budgets, 3 registrations]",
 )
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=_DEFAULTS.seed, show_default=True, help="Seed of the first run."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=_DEFAULTS.seed,
+    show_default=True,
+    help="Seed of the first run.",
 )
 @click.option(
     "--iterations",
@@ -52,7 +56,7 @@ def paper(
     points: int,
     quiet: bool,
 ) -> None:
-    """Run the paper's experiments again, and more; show ours beside the printed values.
+    r"""Run the paper's experiments again, and more; show ours beside the printed values.
 
     \b
     NAME is one or more of
@@ -62,12 +66,12 @@ def paper(
       ranks ablation budgets shifted modern success   what the paper leaves out
       all                             everything
 
-    The folder gets a CSV file for each table, a PNG file for each picture, and paper.html, one page with all that
-    was asked for. Finished runs are kept there in runs.jsonl: an interrupted command goes on where it was, and more
-    --runs are added to those that are there. Results of an earlier call are replaced.
+    The folder gets a CSV file for each table, a PNG file for each picture, and paper.html, one page with
+    all that was asked for. Finished runs are kept there in runs.jsonl: an interrupted command goes on where
+    it was, and more --runs are added to those that are there. Results of an earlier call are replaced.
 
-    Real scans are read from the folder that TMCHHO_DATA names (stanford/pairs.json and what it lists); where it is
-    not set, simulated objects stand in for them. Needs the extra: pip install 'tmchho[paper]'.
+    Real scans are read from the folder that TMCHHO_DATA names (stanford/pairs.json and what it lists);
+    where it is not set, simulated objects stand in for them. Needs the extra: pip install 'tmchho[paper]'.
     """
     wanted = list(SECTIONS) if ALL in names else [name for name in SECTIONS if name in names]
     settings = Settings(runs=runs, seed=seed, n_iterations=iterations, n_site_points=points)
@@ -99,7 +103,9 @@ def _progress_on(shown: Display) -> Callable[[str, int, int], None]:
     def tell(title: str, done: int, total: int) -> None:
         if title not in begun:
             begun.add(title)
-            heading = f"{title}: {total - done:,} of {total:,} runs to do" if done else f"{title}: {total:,} runs"
+            heading = (
+                f"{title}: {total - done:,} of {total:,} runs to do" if done else f"{title}: {total:,} runs"
+            )
             shown.on_event(ProgressEvent(heading, 0, 0, None, started=True))
         shown.on_event(ProgressEvent(title, done, total, None, started=False))
 

@@ -47,8 +47,8 @@ def rows(runs: list[Run]) -> list[dict[str, Any]]:
     """Return a row for each function, dimension and place: medians, and tests against HHO."""
     cells: dict[tuple[str, int, str], dict[str, list[float]]] = {}
     for run in runs:
-        place = run.job["place"], run.job["dimension"], run.job["function"]
-        cells.setdefault(place, {}).setdefault(variant_of(run), []).append(run.result["fun"])
+        problem = run.job["place"], run.job["dimension"], run.job["function"]
+        cells.setdefault(problem, {}).setdefault(variant_of(run), []).append(run.result["fun"])
     table: list[dict[str, Any]] = []
     for (place, dimension, function), values in cells.items():
         row: dict[str, Any] = {"place": place, "function": function, "dimension": dimension}
@@ -71,8 +71,8 @@ def show(runs: list[Run]) -> Content:
     return Content(
         how=(
             how_searched(runs),
-            "Shifted: the minimum lies anywhere within 0.8 of the range, elsewhere in each run. Wilcoxon's rank-sum "
-            "test, two-sided, not corrected.",
+            "Shifted: the minimum lies anywhere within 0.8 of the range, elsewhere in each run. "
+            "Wilcoxon's rank-sum test, two-sided, not corrected.",
         ),
         tables=(Table("ablation", "Median of the lowest value found.", columns, table),),
         findings=tuple(

@@ -1,7 +1,7 @@
 """Equal numbers of calls for all, at the origin and away from it, and beside optimisers of today.
 
-Three sections look at the same runs: the paper's six at the origin; the same away from the origin; all of them
-with CMA-ES and differential evolution.
+Three sections look at the same runs: the paper's six at the origin; the same away from the origin; all of
+them with CMA-ES and differential evolution.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ def _table(name: str, runs: list[Run]) -> Table:
 def _how(runs: list[Run]) -> tuple[str, ...]:
     seeds = sorted({run.job["seed"] for run in runs})
     return (
-        f"{len(seeds)} runs each (seeds {span(seeds, 'd')}), at most {MAX_EVALUATIONS:,} calls of the function in "
-        "each. The iterations of each swarm are as many as that budget lasts for, told by a first search of the "
-        "usual length that does not count.",
+        f"{len(seeds)} runs each (seeds {span(seeds, 'd')}), at most {MAX_EVALUATIONS:,} calls of the "
+        "function in each. The iterations of each swarm are as many as that budget lasts for, told by a "
+        "first search of the usual length that does not count.",
         evaluations_by_method(runs),
     )
 
@@ -91,8 +91,9 @@ def _show_budgets(runs: list[Run]) -> Content:
         tables=(_table("budgets", runs),),
         findings=(_order("origin", runs), _against(runs, "tmchho", "hho")),
         differences=(
-            "The paper gives all methods the same iterations. In one iteration some of them call the function "
-            "twice for each of the population (see the evaluations of Table 3), which is not said.",
+            "The paper gives all methods the same iterations. In one iteration some of them call the "
+            "function twice for each of the population (see the evaluations of Table 3), which is not "
+            "said.",
         ),
     )
 
@@ -115,22 +116,24 @@ def _show_shifted(runs: list[Run]) -> Content:
     return Content(
         how=(
             *_how(runs),
-            "Shifted: the minimum lies anywhere within 0.8 of the range, elsewhere in each run and at the same "
-            "place for all methods. Rotated: turned about that place as well, evenly over all rotations. The box "
-            "stays.",
+            "Shifted: the minimum lies anywhere within 0.8 of the range, elsewhere in each run and at "
+            "the same place for all methods. Rotated: turned about that place as well, evenly over all "
+            "rotations. The box stays.",
         ),
         tables=(_table("shifted", runs),),
         findings=(
-            "Powers of ten by which the median rises when the minimum moves away from the origin (functions on "
+            "Powers of ten by which the median rises when the minimum moves away from the origin "
+            "(functions on "
             "which 0 was reached not counted): " + "; ".join(losses) + ".",
             *(_order(place, runs) for place in PLACES),
             _against([run for run in runs if run.job["place"] != "origin"], OURS, "tmchho"),
         ),
         differences=(
-            "All functions of Table 1 have their minimum at the origin, and two rules of HHO use positions as if "
-            "they were vectors from there: O_prey − O in the soft besiege, O_prey − O_avg in the exploration. At "
-            "the origin they help, elsewhere they do not, so that Table 3 alone cannot tell how well a method "
-            f"searches. {title(OURS)} is a variant of this package without that pull.",
+            "All functions of Table 1 have their minimum at the origin, and two rules of HHO use "
+            "positions as if they were vectors from there: O_prey − O in the soft besiege, O_prey − "
+            "O_avg in the exploration. At the origin they help, elsewhere they do not, so that Table 3 "
+            f"alone cannot tell how well a method searches. {title(OURS)} is a variant of this package "
+            "without that pull.",
         ),
     )
 
@@ -138,7 +141,8 @@ def _show_shifted(runs: list[Run]) -> Content:
 def _show_modern(runs: list[Run]) -> Content:
     missing = missing_libraries()
     absent = tuple(
-        f"{title(method)} was not run: the library {library} is missing; get it by: pip install 'tmchho[paper]'."
+        f"{title(method)} was not run: the library {library} is missing; get it by: pip install "
+        "'tmchho[paper]'."
         for method, library in missing.items()
     )
     leaders = []
@@ -183,9 +187,9 @@ def _against(runs: list[Run], one: str, other: str, where: str = "") -> str:
                 worse += 1
     places = where or listing([_NAMES[p] for p in PLACES if any(problem[0] == p for problem in values)])
     return (
-        f"{title(one)} against {title(other)}, {places}: better on {better}, worse on {worse}, not to be told "
-        f"apart on {len(values) - better - worse} of {len(values)} (Wilcoxon's rank-sum test, p < 0.05, not "
-        "corrected)."
+        f"{title(one)} against {title(other)}, {places}: better on {better}, worse on {worse}, not to be "
+        f"told apart on {len(values) - better - worse} of {len(values)} (Wilcoxon's rank-sum test, p < "
+        "0.05, not corrected)."
     )
 
 

@@ -29,8 +29,8 @@ _PRINTED_RMS = {"tmchho": 1.01}
 _STATISTICS = ("avg", "best", "worst", "std")
 _NOT_THE_DAM = (
     "The paper's surveys of the Lianghekou dam are not public. A SIMULATED dam site stands in for them "
-    f"(tmchho.simulate), {site.SITE_M:g} m by {site.SITE_M:g} m, with {site.STATIONS} scanner stations: the printed "
-    "values are of another place and stand beside ours for their size only."
+    f"(tmchho.simulate), {site.SITE_M:g} m by {site.SITE_M:g} m, with {site.STATIONS} scanner stations: "
+    "the printed values are of another place and stand beside ours for their size only."
 )
 
 
@@ -81,8 +81,8 @@ def _show_counts(runs: list[Run]) -> Content:
         findings=(f"Kept here: {listing(kept)}; in the paper: {listing(printed_kept)}.",),
         differences=(
             _NOT_THE_DAM,
-            "The paper calls its clouds local without giving their extent, and so how dense they are; the share that "
-            "is kept follows from the density alone.",
+            "The paper calls its clouds local without giving their extent, and so how dense they are; "
+            "the share that is kept follows from the density alone.",
         ),
     )
 
@@ -145,7 +145,9 @@ def _show_searches(runs: list[Run]) -> Content:
             evaluations_by_method(runs),
         ),
         tables=(
-            Table("figure14", "RMS of Eq. (1) between the keypoints after the search, in metres.", columns, rows),
+            Table(
+                "figure14", "RMS of Eq. (1) between the keypoints after the search, in metres.", columns, rows
+            ),
             Table(
                 "figure14_curves",
                 "The curves.",
@@ -159,14 +161,14 @@ def _show_searches(runs: list[Run]) -> Content:
             "From the lowest average RMS to the highest: "
             + listing([f"{title(m)} ({averages[m]:.3f} m)" for m in order])
             + ".",
-            f"At the true pose the RMS is {true_rms:.3f} m; {n_below} of {len(runs)} searches ended at a wrong pose "
-            "with a lower one.",
+            f"At the true pose the RMS is {true_rms:.3f} m; {n_below} of {len(runs)} searches ended at a "
+            "wrong pose with a lower one.",
             f"Right in the end, after ICP: {sum(row['right'] for row in rows)} of {len(runs)} searches.",
         ),
         differences=(
             _NOT_THE_DAM,
-            "The paper prints one value in the text and the rest as bars without numbers, of one run each as it "
-            "seems.",
+            "The paper prints one value in the text and the rest as bars without numbers, of one run "
+            "each as it seems.",
         ),
     )
 
@@ -235,10 +237,10 @@ def _show_distances(runs: list[Run]) -> Content:
     return Content(
         how=(
             _how(runs),
-            f"Both surveys whole, the photogrammetry moved away at random (seed {runs[0].job['seed']}) and brought "
-            "back by robust mode; points that stand alone are removed before measuring.",
-            "Distance: from each point of the scanner to the nearest of the photogrammetry, in metres. Areas: "
-            f"squares of {site.AREA_M:g} m about the middle and towards the four corners.",
+            f"Both surveys whole, the photogrammetry moved away at random (seed {runs[0].job['seed']}) "
+            "and brought back by robust mode; points that stand alone are removed before measuring.",
+            "Distance: from each point of the scanner to the nearest of the photogrammetry, in metres. "
+            f"Areas: squares of {site.AREA_M:g} m about the middle and towards the four corners.",
         ),
         tables=(
             Table("table7", "Distances between the two surveys by area, in metres.", columns, rows),
@@ -253,8 +255,8 @@ def _show_distances(runs: list[Run]) -> Content:
         pictures=(
             draw(
                 "figure16",
-                "Figure 16: mean distance in each cell of the plan, in metres, and the five areas; east to the right, "
-                "north up.",
+                "Figure 16: mean distance in each cell of the plan, in metres, and the five areas; east "
+                "to the right, north up.",
                 (1, 1),
                 paint_map,
             ),
@@ -263,17 +265,18 @@ def _show_distances(runs: list[Run]) -> Content:
         findings=(
             f"Verdict: {result['verdict']}. Off the true pose by {result['rotation_deg']:.4f}° and "
             f"{result['shift_m']:.4f} m in the middle.",
-            f"Averages here: {min(averages):.4f} to {max(averages):.4f} m; printed: {min(printed_averages):.4f} to "
-            f"{max(printed_averages):.4f} m.",
-            f"At the true pose the averages differ from those here by at most {excess:.4f} m: the rest is the "
-            "surveys' own spacing, noise and holes.",
+            f"Averages here: {min(averages):.4f} to {max(averages):.4f} m; printed: "
+            f"{min(printed_averages):.4f} to {max(printed_averages):.4f} m.",
+            f"At the true pose the averages differ from those here by at most {excess:.4f} m: the rest is "
+            "the surveys' own spacing, noise and holes.",
         ),
         differences=(
             _NOT_THE_DAM,
-            "The paper aligns by TMCHHO and ICP; here robust mode does, because a single search finds the right pose "
-            "too seldom (page “Success rate”, Figure 14).",
-            "The paper does not say where its areas lie, in which direction distances were measured, or up to which "
-            "distance. Here nothing is cut off, so that a hole of the photogrammetry makes a large worst value.",
+            "The paper aligns by TMCHHO and ICP; here robust mode does, because a single search finds "
+            "the right pose too seldom (page “Success rate”, Figure 14).",
+            "The paper does not say where its areas lie, in which direction distances were measured, or "
+            "up to which distance. Here nothing is cut off, so that a hole of the photogrammetry makes a "
+            "large worst value.",
         ),
     )
 

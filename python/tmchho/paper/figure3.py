@@ -73,7 +73,9 @@ def show(runs: list[Run]) -> Content:
     def paint(_figure: Figure, panels: list[Axes]) -> None:
         for column, (name, title) in enumerate(_MAPS.items()):
             counts = first[name].result["counts"]
-            panels[column].bar(np.arange(len(counts)) / len(counts), counts, width=1 / len(counts), align="edge")
+            panels[column].bar(
+                np.arange(len(counts)) / len(counts), counts, width=1 / len(counts), align="edge"
+            )
             panels[column].set_title(f"{title}: values in each bin", fontsize=9)
             dots = sequence(name, _N_DOTS, first[name].job["seed"])
             panels[len(_MAPS) + column].plot(dots, ".", markersize=1.5)
@@ -93,8 +95,9 @@ def show(runs: list[Run]) -> Content:
     ]
     return Content(
         how=(
-            f"{N_VALUES:,} values in {N_BINS} bins, {n_seeds} seeds; the pictures show the first. Independent, "
-            f"evenly spread values have a χ² of about {N_BINS - 1} ± {np.sqrt(2 * (N_BINS - 1)):.0f}.",
+            f"{N_VALUES:,} values in {N_BINS} bins, {n_seeds} seeds; the pictures show the first. "
+            f"Independent, evenly spread values have a χ² of about {N_BINS - 1} ± "
+            f"{np.sqrt(2 * (N_BINS - 1)):.0f}.",
         ),
         pictures=(
             draw("figure3", "Histograms and values in their order, from 0 to 1.", (2, len(_MAPS)), paint),
@@ -111,9 +114,9 @@ def show(runs: list[Run]) -> Content:
         ),
         findings=(_flattest(rows),),
         differences=(
-            "A flat histogram is not independence: each value of a chaotic map is a function of the one before, so "
-            "that the coordinates of a hawk lie on a broken line. What the start is worth in a search is on the "
-            "page “ablation”.",
+            "A flat histogram is not independence: each value of a chaotic map is a function of the one "
+            "before, so that the coordinates of a hawk lie on a broken line. What the start is worth in "
+            "a search is on the page “ablation”.",
             "The paper does not print the parameter of its logistic map; 4 is taken, the fully chaotic one.",
         ),
     )

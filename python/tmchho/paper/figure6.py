@@ -74,17 +74,11 @@ def show(runs: list[Run]) -> Content:
 
 
 def _first_to_arrive(curves: dict[table3.Cell, Any]) -> str:
-    lowest = {
-        (function, dimension): min(
-            PAPER_METHODS, key=lambda m, f=function, d=dimension: float(curves[f, d, m][-1])
-        )
-        for function, dimension, _ in curves
-    }
     won: dict[str, list[str]] = {}
-    for (function, dimension), method in lowest.items():
-        value = float(curves[function, dimension, method][-1])
-        ties = [m for m in PAPER_METHODS if float(curves[function, dimension, m][-1]) == value]
-        won.setdefault(" with ".join(map(title, ties)), []).append(f"{function} (D = {dimension})")
+    for function, dimension in dict.fromkeys((function, dimension) for function, dimension, _ in curves):
+        ends = {method: float(curves[function, dimension, method][-1]) for method in PAPER_METHODS}
+        lowest = [title(method) for method, value in ends.items() if value == min(ends.values())]
+        won.setdefault(" with ".join(lowest), []).append(f"{function} (D = {dimension})")
     return "Lowest at the end: " + "; ".join(f"{who} on {listing(what)}" for who, what in won.items()) + "."
 
 

@@ -51,12 +51,15 @@ def _show_curves(runs: list[Run]) -> Content:
     names = ("kind", "model", "algorithm", "iteration", "rms")
     late = []
     for kind, model in _PANELS:
-        lowest = min(PAPER_METHODS, key=lambda m, k=kind, o=model: float(curves[k, o, m][-1]))
+        ends = {method: float(curves[kind, model, method][-1]) for method in PAPER_METHODS}
+        lowest = min(ends, key=ends.__getitem__)
         late.append(f"{title(lowest)} on {model_name(chosen(runs, model=model)[0])} ({_SHORT[kind]})")
     return Content(
         how=how(runs),
         pictures=(
-            draw("figure8", "RMS of Eq. (1), in metres, mean over the runs.", (len(KINDS), len(MODELS)), paint),
+            draw(
+                "figure8", "RMS of Eq. (1), in metres, mean over the runs.", (len(KINDS), len(MODELS)), paint
+            ),
         ),
         tables=(Table("figure8", "The curves.", [Column(n, n) for n in names], rows, on_page=False),),
         findings=(f"Lowest at the end: {listing(late)}.",),
@@ -101,8 +104,8 @@ def _show_boxes(runs: list[Run]) -> Content:
         pictures=(
             draw(
                 "figure9",
-                "RMS of Eq. (1) after the search, in metres: quartiles, and the last value within 1.5 of their "
-                "distance.",
+                "RMS of Eq. (1) after the search, in metres: quartiles, and the last value within 1.5 of "
+                "their distance.",
                 (len(KINDS), len(MODELS)),
                 paint,
             ),

@@ -1,13 +1,15 @@
 """Optimisers of other people, as they come: CMA-ES and differential evolution.
 
 Sources: Hansen's `cma` (CMA-ES with restarts of growing population: Auger & Hansen 2005); scipy's
-`differential_evolution` (Storn & Price 1997). Their settings are the defaults of the libraries; nothing is tuned.
+`differential_evolution` (Storn & Price 1997). Their settings are those of the libraries; only the population
+of the latter is made as large as that of the swarms.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from threading import Lock
 
 import numpy as np
@@ -48,10 +50,9 @@ def search_by_library(task: Problem, method: str, max_evaluations: int, seed: in
         Calls of the function.
     """
     counted = _Counted(task, max_evaluations)
-    try:
+    # The usual end: whatever the method would do next, it has no call left.
+    with suppress(_SpentError):
         {"cma_es": _cma_es, "de": _differential_evolution}[method](counted, task, seed)
-    except _SpentError:
-        pass  # the usual end: whatever the method would do next, it has no call left
     return counted.best, counted.n_evaluations
 
 
@@ -107,7 +108,8 @@ def _differential_evolution(function: _Counted, task: Problem, seed: int) -> Non
     bounds = [(-task.half_range, task.half_range)] * task.dimension
     # A population of 30 like that of the others; the library's own is 15 for each coordinate, of which a
     # budget of a few thousand calls would see few generations.
-    start = np.random.default_rng(seed).uniform(*np.transpose(bounds), size=(30, task.dimension))
+    half = task.half_range
+    start = np.random.default_rng(seed).uniform(-half, half, (30, task.dimension))
     # Without tolerances it runs until the calls are spent, or until all of its population is equally good.
     differential_evolution(
         function, bounds, init=start, maxiter=10**9, tol=0.0, atol=0.0, polish=False, rng=seed

@@ -10,7 +10,7 @@ _RADIUS = 0.06
 _SPACING = 0.001
 _NOISE = 0.0001
 _N_BUMPS = 40
-# Each scan sees what is within this angle of its direction; the two directions are as far apart as a real pair's.
+# Each scan sees what is within this angle of its direction; the two are as far apart as those of a real pair.
 _VIEW_RAD = np.radians(75.0)
 _APART_RAD = np.radians(30.0)
 

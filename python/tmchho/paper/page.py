@@ -30,6 +30,4 @@ def page(sections: Sequence[tuple[Section, Content]], command: str) -> str:
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["base64"] = lambda png: base64.b64encode(png).decode("ascii")
     template = files("tmchho.paper").joinpath("page.html.jinja").read_text(encoding="utf-8")
-    return environment.from_string(template).render(
-        sections=sections, command=command, version=__version__
-    )
+    return environment.from_string(template).render(sections=sections, command=command, version=__version__)

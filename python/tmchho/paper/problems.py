@@ -74,7 +74,7 @@ def problem(function: str, dimension: int, place: str, seed: int) -> Problem:
     if place != "origin":
         minimum_at = rng.uniform(-1.0, 1.0, dimension) * _SHARE_OF_RANGE * half_range
     if place == "rotated":
-        # Even over all rotations: the sign of the triangle's diagonal decides nothing by chance (Stewart 1980).
+        # Even over all rotations, because the signs of the triangle's diagonal are taken out (Stewart 1980).
         orthogonal, triangle = np.linalg.qr(rng.standard_normal((dimension, dimension)))
         rotation = orthogonal * np.sign(np.diag(triangle))
     return Problem(function, half_range, minimum_at, rotation)

@@ -38,9 +38,7 @@ def rank_rows(runs: list[Run]) -> list[dict[str, Any]]:
 
 def pairwise_tests(runs: list[Run]) -> list[dict[str, Any]]:
     """Return Wilcoxon's rank-sum test of TMCHHO against each rival on each function and dimension."""
-    cells = {
-        cell: [run.result["fun"] for run in of_cell] for cell, of_cell in table3.by_cell(runs).items()
-    }
+    cells = {cell: [run.result["fun"] for run in of_cell] for cell, of_cell in table3.by_cell(runs).items()}
     medians = table3.medians(runs)
     rows: list[dict[str, Any]] = []
     for rival in _RIVALS:
@@ -79,9 +77,9 @@ def show(runs: list[Run]) -> Content:
     return Content(
         how=(
             how_searched(runs),
-            "Ranks: 1 is best, ties share theirs; by medians here, by averages where printed. Tests: Wilcoxon's "
-            f"rank-sum test, two-sided, corrected after Holm for the functions of each rival; below "
-            f"{SIGNIFICANT:g} a difference counts.",
+            "Ranks: 1 is best, ties share theirs; by medians here, by averages where printed. Tests: "
+            "Wilcoxon's rank-sum test, two-sided, corrected after Holm for the functions of each rival; "
+            f"below {SIGNIFICANT:g} a difference counts.",
         ),
         tables=(
             Table(
@@ -97,7 +95,9 @@ def show(runs: list[Run]) -> Content:
             Table("ranks_tests", "TMCHHO against each rival.", columns, tests),
         ),
         findings=tuple(_findings(ranks, tests)),
-        differences=("The paper prints no tests, and shows averages in bold without asking what chance does.",),
+        differences=(
+            "The paper prints no tests, and shows averages in bold without asking what chance does.",
+        ),
     )
 
 
@@ -110,8 +110,8 @@ def _findings(ranks: list[dict[str, Any]], tests: list[dict[str, Any]]) -> list[
         n_all = sum(row["rival"] == rival for row in tests)
         better = sum(row["median_tmchho"] < row["median_rival"] for row in real)
         found.append(
-            f"Against {rival}: TMCHHO is better on {better}, worse on {len(real) - better}, not to be told apart "
-            f"on {n_all - len(real)} of {n_all}."
+            f"Against {rival}: TMCHHO is better on {better}, worse on {len(real) - better}, not to be "
+            f"told apart on {n_all - len(real)} of {n_all}."
         )
     return found
 

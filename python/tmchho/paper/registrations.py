@@ -79,10 +79,11 @@ def bring_back(pair: Pair, away: Array, job: Job, should_stop: ShouldStop) -> Re
     Returns
     -------
     dict
-        ``rms``: of Eq. (1), between the keypoints, after the search; ``true_rms``: the same at the true pose;
-        ``fine_rms``: between the voxel centroids, in the end; ``rotation_deg``, ``shift`` (of the middle of the
-        source, as a share of the target's diagonal) of the search, ``fine_rotation_deg``, ``fine_shift`` in the
-        end; ``n_evaluations``; ``history`` of the search; ``pose``: in the end, from the source in its true place.
+        ``rms``: of Eq. (1), between the keypoints, after the search; ``true_rms``: the same at the true
+        pose; ``fine_rms``: between the voxel centroids, in the end; ``rotation_deg`` and ``shift`` (of the
+        middle of the source, as a share of the target's diagonal): errors after the search,
+        ``fine_rotation_deg`` and ``fine_shift``: in the end; ``n_evaluations`` and ``history`` of the
+        search; ``pose``: in the end, for the source as it was before it was moved away.
     """
     source = pair.source.moved(away)
     wanted = pair.target_from_source @ invert(away)
@@ -103,9 +104,7 @@ def bring_back(pair: Pair, away: Array, job: Job, should_stop: ShouldStop) -> Re
             searched = search(source.keypoints, pair.target.keypoints, job, should_stop)
             coarse = searched.candidates[0].transformation
             result |= {"history": searched.history.tolist(), "n_evaluations": searched.n_evaluations}
-        fine = icp(
-            source.voxels, pair.target.voxels, init=coarse, method="point_to_point"
-        ).transformation
+        fine = icp(source.voxels, pair.target.voxels, init=coarse, method="point_to_point").transformation
     result["rms"] = rms_between(source, pair.target, coarse, lambda scan: scan.keypoints)
     result["true_rms"] = rms_between(source, pair.target, wanted, lambda scan: scan.keypoints)
     result["fine_rms"] = rms_between(source, pair.target, fine, lambda scan: scan.voxels)

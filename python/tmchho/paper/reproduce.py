@@ -7,7 +7,19 @@ from pathlib import Path
 
 from tmchho.io.atomic import check_writable_folder
 from tmchho.outputs import write_together
-from tmchho.paper import ablation, budgets, dam, figure3, figure6, figure8, ranks, success, table3, table4, table5
+from tmchho.paper import (
+    ablation,
+    budgets,
+    dam,
+    figure3,
+    figure6,
+    figure8,
+    ranks,
+    success,
+    table3,
+    table4,
+    table5,
+)
 from tmchho.paper.extras import require_extras
 from tmchho.paper.page import page
 from tmchho.paper.plan import Content, Section, Settings

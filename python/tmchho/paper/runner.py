@@ -1,7 +1,7 @@
 """Does the jobs of a series that are not done yet, several at a time.
 
-Threads are enough: the core lets go of the interpreter while it works, so each of them keeps a processor busy.
-Only this thread writes down results and shows progress.
+Threads are enough: the core lets go of the interpreter while it works, so each of them keeps a processor
+busy. Only the calling thread writes down results and shows progress.
 """
 
 from __future__ import annotations

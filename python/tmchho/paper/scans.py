@@ -1,7 +1,7 @@
 """The clouds of Section 5.2: four objects, each as two real scans and as a scan and its own moved copy.
 
-The real ones are those of Stanford's repository, in the folder `stanford` of TMCHHO_DATA. Where that is not set,
-objects made by code stand in for them; they are called so everywhere.
+The real ones are those of Stanford's repository, in the folder `stanford` of TMCHHO_DATA. Where that is not
+set, objects made by code stand in for them; they are called so everywhere.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _stanford(model: str) -> tuple[Array, Array, Array]:
     pairs = folder / "pairs.json"
     try:
         listed: list[dict[str, Any]] = json.loads(pairs.read_text(encoding="utf-8"))
-        # Of each object the pair that overlaps most; the names are those of the files in Stanford's repository.
+        # Of each object the pair that overlaps most; files are called as in Stanford's repository.
         pair = max(
             (pair for pair in listed if pair["target"].lower().startswith(model[:3])),
             key=lambda pair: float(pair["overlap_of_source"]),
@@ -123,8 +123,8 @@ def _stanford(model: str) -> tuple[Array, Array, Array]:
         names = pair["source"], pair["target"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ReadError(
-            f"{pairs}: does not tell a pair of scans of '{model}' ({error}); let TMCHHO_DATA name the folder of "
-            "the real clouds, or unset it to run on simulated objects"
+            f"{pairs}: does not tell a pair of scans of '{model}' ({error}); let TMCHHO_DATA name the "
+            "folder of the real clouds, or unset it to run on simulated objects"
         ) from error
     source, target = (read(folder / name).xyz for name in names)
     return source[np.isfinite(source).all(axis=1)], target[np.isfinite(target).all(axis=1)], pose

@@ -76,8 +76,8 @@ def run_function_job(job: Job, should_stop: ShouldStop) -> Result:
         return {"fun": value, "n_evaluations": n_evaluations}
     n_iterations, limit = job["n_iterations"], job["max_evaluations"]
     if limit is not None:
-        # Methods call the function unequally often in an iteration, and HHO plans ahead for all its iterations:
-        # a first search of the usual length tells how many iterations the calls will last for.
+        # Methods call the function unequally often in an iteration, and HHO plans ahead for all iterations:
+        # a first search of the usual length tells how many the calls will last for.
         pilot = _search(task, job, n_iterations, None, should_stop)
         n_iterations = max(1, limit * pilot.nit // pilot.nfev)
     found = _search(task, job, n_iterations, limit, should_stop)

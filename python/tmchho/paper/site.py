@@ -121,9 +121,7 @@ def _distance_jobs(settings: Settings) -> list[Job]:
 def _distances(job: Job, should_stop: ShouldStop) -> Result:
     """Register the whole surveys in robust mode, and measure the areas at that pose and at the true one."""
     both = survey(job["site_seed"], job["n_points"])
-    scanned, flown = (
-        cloud.xyz[remove_outliers(cloud.xyz).indices] for cloud in (both.target, both.source)
-    )
+    scanned, flown = (cloud.xyz[remove_outliers(cloud.xyz).indices] for cloud in (both.target, both.source))
     diagonal = float(np.linalg.norm(np.ptp(scanned, axis=0)))
     away = random_pose(np.random.default_rng(job["seed"]), diagonal)
     found = register(
@@ -165,7 +163,7 @@ def _statistics(distances: Array) -> dict[str, float]:
 
 
 def _mean_by_cell(points: Array, distances: Array) -> list[list[float | None]]:
-    """Return the mean distance in each cell of the plan, row by row from the south; None where no point is."""
+    """Return the mean distance in each cell of the plan, rows from the south; None where no point is."""
     n = round(SITE_M / _CELL_M)
     place = np.clip(((points[:, :2] + SITE_M / 2) / _CELL_M).astype(int), 0, n - 1)
     cell = place[:, 1] * n + place[:, 0]

@@ -14,8 +14,9 @@ STATISTICS = ("ave", "best", "worst", "std")
 def summary(values: Sequence[float]) -> dict[str, float]:
     """Return Ave, Best, Worst and Std as the tables of the paper, and the median.
 
-    The standard deviation is that of a sample (n − 1), NaN for a single run: in Table 3, PSO on f1 with D = 10
-    has a worst value of 0.927, 30 times its average, and 0.169, which is 0.927/√30, as standard deviation.
+    The standard deviation is that of a sample (n − 1), NaN for a single run. The paper's is, too: in Table 3
+    PSO on f1 with D = 10 has 0.927 as worst value, 30 times the average; so one run of 30 made both, and the
+    printed 0.169 is 0.927/√30, where that of a population would be 0.166.
 
     Examples
     --------

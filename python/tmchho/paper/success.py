@@ -94,10 +94,10 @@ def show(runs: list[Run]) -> Content:
     return Content(
         how=(
             *how(runs),
-            f"Right after the search: within {COARSE_DEG:g}° and {100 * COARSE_SHARE:g} % of the diagonal of the "
-            f"known pose; in the end: within {FINE_DEG:g}° and {100 * FINE_SHARE:g} %. The searches are followed by "
-            "the paper's ICP, which drifts where clouds overlap in part only; robust mode has its own. The interval "
-            "is Wilson's.",
+            f"Right after the search: within {COARSE_DEG:g}° and {100 * COARSE_SHARE:g} % of the diagonal "
+            f"of the known pose; in the end: within {FINE_DEG:g}° and {100 * FINE_SHARE:g} %. The "
+            "searches are followed by the paper's ICP, which drifts where clouds overlap in part only; "
+            "robust mode has its own. The interval is Wilson's.",
         ),
         tables=(Table("success", "How often the pose was right.", columns, table),),
         findings=tuple(findings),

@@ -69,14 +69,17 @@ def show(runs: list[Run]) -> Content:
         tables=(table(runs),),
         findings=tuple(_findings(runs)),
         differences=(
-            "Population, iterations and runs of this table are not printed. Runs: for PSO on f1 with D = 10 the "
-            "printed worst value is 30 times the printed average, so one run of 30 made the average, and the "
-            "printed Std is that of a sample. Population 30 is that of Section 5.2. Its 500 iterations "
-            "contradict the printed values by tens of powers of ten; 100 iterations agree with them "
-            "(docs/paper_map.md, reading 4).",
+            "Population, iterations and runs of this table are not printed. Runs: for PSO on f1 with D = "
+            "10 the printed worst value is 30 times the printed average, so one run of 30 made the "
+            "average, and the printed Std is that of a sample. Population 30 is that of Section 5.2. Its "
+            "500 iterations contradict the printed values by tens of powers of ten; 100 iterations agree "
+            "with them (docs/paper_map.md, reading 4).",
             "Values spread over many powers of ten, so that a single run decides an average. The median is "
             "shown beside it, and is what the comparisons below rest on.",
-            "Equal iterations are not equal cost: see the column of evaluations, and the page “equal budgets”.",
+            (
+                "Equal iterations are not equal cost: see the column of evaluations, and the page “equal "
+                "budgets”."
+            ),
             "All seven functions have their minimum at the origin, towards which two rules of HHO pull: see "
             "the page “shifted and rotated”.",
             "Inertia and velocity limit of PSO are not printed, so its rows cannot be expected to agree.",
@@ -96,9 +99,7 @@ def _findings(runs: list[Run]) -> list[str]:
         theirs = printed[cell]
         if theirs is None:
             continue
-        if (ours == 0) == (theirs == 0) and (
-            ours == 0 or abs(log10(ours) - log10(theirs)) <= _NEAR_DECADES
-        ):
+        if (ours == 0) == (theirs == 0) and (ours == 0 or abs(log10(ours) - log10(theirs)) <= _NEAR_DECADES):
             near += 1
         else:
             far.append(f"{title(cell[2])} on {cell[0]} (D = {cell[1]})")
@@ -121,14 +122,14 @@ def _findings(runs: list[Run]) -> list[str]:
     better = [p for p in problems if cells[(*p, "tmchho")] < cells[(*p, "hho")]]
     worse = [p for p in problems if cells[(*p, "tmchho")] > cells[(*p, "hho")]]
     found.append(
-        f"In the median TMCHHO is lower than HHO on {len(better)} of {len(problems)} functions and dimensions, "
-        f"higher on {len(worse)}, equal on {len(problems) - len(better) - len(worse)}."
+        f"In the median TMCHHO is lower than HHO on {len(better)} of {len(problems)} functions and "
+        f"dimensions, higher on {len(worse)}, equal on {len(problems) - len(better) - len(worse)}."
     )
     leaders = [p for p in problems if cells[(*p, "tmchho")] <= min(cells[(*p, m)] for m in PAPER_METHODS)]
     theirs_lead = [p for p in problems if _printed_leader(p)]
     found.append(
-        f"TMCHHO has the lowest median of the six, alone or with others, on {len(leaders)} of {len(problems)}; "
-        f"by the printed averages on {len(theirs_lead)}."
+        f"TMCHHO has the lowest median of the six, alone or with others, on {len(leaders)} of "
+        f"{len(problems)}; by the printed averages on {len(theirs_lead)}."
     )
     return found
 

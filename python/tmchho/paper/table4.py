@@ -1,4 +1,4 @@
-"""Table 4: RMS of Eq. (1) by six optimisers on four objects, with robust mode and the true pose beside them."""
+"""Table 4: RMS of Eq. (1) by six optimisers on four objects, beside robust mode and the true pose."""
 
 from __future__ import annotations
 
@@ -37,9 +37,10 @@ def clouds_of(runs: list[Run]) -> str:
     if runs[0].job["clouds"] == "stanford":
         return "Clouds: range scans of Stanford's repository, from TMCHHO_DATA."
     return (
-        "Clouds: SIMULATED OBJECTS, because TMCHHO_DATA is not set. They stand in for Stanford's scans, have "
-        "nothing to do with the objects whose names the rows have, and are not to be compared with printed values; "
-        "none are shown. To run on the real scans let TMCHHO_DATA name a folder with stanford/pairs.json."
+        "Clouds: SIMULATED OBJECTS, because TMCHHO_DATA is not set. They stand in for Stanford's scans, "
+        "have nothing to do with the objects whose names the rows have, and are not to be compared with "
+        "printed values; none are shown. To run on the real scans let TMCHHO_DATA name a folder with "
+        "stanford/pairs.json."
     )
 
 
@@ -52,12 +53,12 @@ def model_name(run: Run) -> str:
 def why_both_kinds() -> tuple[str, ...]:
     """Return why Section 5.2 is shown twice."""
     return (
-        "Shown twice: for a scan and its own moved copy, and for two scans from different directions. The printed "
-        "best values go down to 5.64e-15 (PSO, Dragon), which two scans cannot reach even at the true pose: they do "
-        "not hold the same points, and the row “true pose” shows how large Eq. (1) is there. The paper speaks of "
-        "“different perspectives”; its numbers are those of copies.",
-        "The printed range [−50, 50] of all six parameters is taken as angles in ±180° and shifts within half a "
-        "diagonal of where the centroids meet (docs/paper_map.md, reading 6).",
+        "Shown twice: for a scan and its own moved copy, and for two scans from different directions. "
+        "The printed best values go down to 5.64e-15 (PSO, Dragon), which two scans cannot reach even at "
+        "the true pose: they do not hold the same points, and the row “true pose” shows how large Eq. "
+        "(1) is there. The paper speaks of “different perspectives”; its numbers are those of copies.",
+        "The printed range [−50, 50] of all six parameters is taken as angles in ±180° and shifts within "
+        "half a diagonal of where the centroids meet (docs/paper_map.md, reading 6).",
         "The keypoint radius is not printed for these clouds: three voxels of 0.001, as in Section 5.3.",
     )
 
@@ -67,7 +68,8 @@ def how(runs: list[Run]) -> tuple[str, ...]:
     searches = [run for run in runs if run.job["method"] in PAPER_METHODS]
     return (
         clouds_of(runs),
-        how_searched(searches) + " Each run moves the source anew: turned evenly over all rotations, shifted by "
+        how_searched(searches)
+        + " Each run moves the source anew: turned evenly over all rotations, shifted by "
         "up to one diagonal. In a run all methods get the same start.",
         evaluations_by_method(searches),
     )
@@ -83,7 +85,11 @@ def rows(runs: list[Run]) -> list[dict[str, Any]]:
             for method in (*PAPER_METHODS, "robust"):
                 of_cell = chosen(here, method=method)
                 printed = printed_row(4, model=model, algorithm=method.upper()) if is_real else {}
-                row = {"kind": KIND_NAMES[kind], "model": model_name(here[0]), "algorithm": title(method)}
+                row: dict[str, Any] = {
+                    "kind": KIND_NAMES[kind],
+                    "model": model_name(here[0]),
+                    "algorithm": title(method),
+                }
                 row |= summary([run.result["rms"] for run in of_cell])
                 row |= {f"printed_{name}": printed_number(printed, name) for name in STATISTICS}
                 coarse, fine = zip(*map(is_right, of_cell), strict=True)
@@ -110,13 +116,16 @@ def show(runs: list[Run]) -> Content:
     return Content(
         how=(
             *how(runs),
-            f"Right after the search: within {COARSE_DEG:g}° and {100 * COARSE_SHARE:g} % of the diagonal of the "
-            f"known pose; in the end, after ICP: within {FINE_DEG:g}° and {100 * FINE_SHARE:g} %.",
+            f"Right after the search: within {COARSE_DEG:g}° and {100 * COARSE_SHARE:g} % of the diagonal "
+            f"of the known pose; in the end, after ICP: within {FINE_DEG:g}° and {100 * FINE_SHARE:g} %.",
         ),
         tables=(
             Table(
                 "table4",
-                "RMS of Eq. (1) between the keypoints after the search, in metres, and how often the pose was right.",
+                (
+                    "RMS of Eq. (1) between the keypoints after the search, in metres, and how often the "
+                    "pose was right."
+                ),
                 columns,
                 rows(runs),
             ),
@@ -124,7 +133,10 @@ def show(runs: list[Run]) -> Content:
         findings=tuple(_findings(runs)),
         differences=(
             *why_both_kinds(),
-            "A low RMS is not a right pose: with the centroids together, a wrong rotation has a low RMS, too.",
+            (
+                "A low RMS is not a right pose: with the centroids together, a wrong rotation has a low RMS, "
+                "too."
+            ),
         ),
     )
 
@@ -136,9 +148,7 @@ def _findings(runs: list[Run]) -> list[str]:
         gains, lowest = [], []
         for model in MODELS:
             of_model = chosen(here, model=model)
-            values = {
-                m: [run.result["rms"] for run in chosen(of_model, method=m)] for m in PAPER_METHODS
-            }
+            values = {m: [run.result["rms"] for run in chosen(of_model, method=m)] for m in PAPER_METHODS}
             averages = {m: summary(v)["ave"] for m, v in values.items()}
             gain = 1.0 - averages["tmchho"] / averages["hho"] if averages["hho"] > 0 else 0.0
             p = rank_sum_p(values["tmchho"], values["hho"])

@@ -89,9 +89,10 @@ def _show_table(runs: list[Run]) -> Content:
     return Content(
         how=(
             *how(runs),
-            "ICP as in Eq. (8): all pairs of voxel centroids, until the mean squared distance changes by less than "
-            "1e-6 of itself, or 50 iterations. ICP alone starts from the same random pose as the searches. Right: "
-            f"within {FINE_DEG:g}° and {100 * FINE_SHARE:g} % of the diagonal of the known pose.",
+            "ICP as in Eq. (8): all pairs of voxel centroids, until the mean squared distance changes by "
+            "less than 1e-6 of itself, or 50 iterations. ICP alone starts from the same random pose as "
+            f"the searches. Right: within {FINE_DEG:g}° and {100 * FINE_SHARE:g} % of the diagonal of the "
+            "known pose.",
         ),
         tables=(
             Table(
@@ -108,8 +109,8 @@ def _show_table(runs: list[Run]) -> Content:
         ),
         differences=(
             *why_both_kinds(),
-            "The paper prints one value each without saying over which runs, and not from where ICP alone starts. "
-            "It does not say whether a pose is right.",
+            "The paper prints one value each without saying over which runs, and not from where ICP "
+            "alone starts. It does not say whether a pose is right.",
         ),
     )
 
@@ -154,7 +155,10 @@ def _show_figure(runs: list[Run]) -> Content:
         ),
         findings=(f"Right in the pictures: {listing(right)}.",),
         differences=(
-            "The paper shows ICP alone; beside it stand the search with ICP and robust mode, from the same start.",
+            (
+                "The paper shows ICP alone; beside it stand the search with ICP and robust mode, from the "
+                "same start."
+            ),
         ),
     )
 
