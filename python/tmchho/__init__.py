@@ -6,6 +6,7 @@ to try it on.
 
 from tmchho import simulate
 from tmchho._core import __version__
+from tmchho.benchmarks import BenchmarkFunction, BenchmarkProblem, benchmark_functions, benchmark_value
 from tmchho.cloud import PointCloud
 from tmchho.config import (
     Config,
@@ -41,13 +42,8 @@ from tmchho.errors import (
 from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike
 from tmchho.io import read, write
-from tmchho.optimize import (
-    BenchmarkFunction,
-    MinimizeResult,
-    benchmark_functions,
-    benchmark_value,
-    minimize,
-)
+from tmchho.optimize import minimize
+from tmchho.optimizer import MinimizeResult, Optimizer
 from tmchho.pipeline import evaluate, fuse, register
 from tmchho.progress import ProgressEvent
 from tmchho.results import Candidate, DistanceStatistics, Evaluation, Registration, StageRecord
@@ -66,6 +62,7 @@ from tmchho.stages import (
 
 __all__ = [
     "BenchmarkFunction",
+    "BenchmarkProblem",
     "BudgetError",
     "Candidate",
     "CloudLike",
@@ -82,6 +79,7 @@ __all__ = [
     "IssOptions",
     "MinimizeResult",
     "NoSolutionError",
+    "Optimizer",
     "OutlierOptions",
     "OutlierResult",
     "PaperSearchOptions",

@@ -4,15 +4,16 @@ Clouds are (n, 3) float64 C-contiguous arrays, poses (4, 4) ones, options JSON.
 """
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "Problem",
+    "Search",
     "__version__",
     "benchmark_functions",
-    "benchmark_value",
     "chaotic_sequence",
     "complete_config",
     "default_config",
@@ -26,6 +27,7 @@ __all__ = [
     "levy_steps",
     "matrix_to_euler",
     "median_spacing",
+    "methods",
     "minimize",
     "nearest_distances",
     "register",
@@ -61,15 +63,38 @@ def nearest_distances(source: _Floats, target: _Floats) -> _Floats: ...
 def median_spacing(array: _Floats) -> float: ...
 def euler_to_matrix(parameters: list[float]) -> _Floats: ...
 def matrix_to_euler(matrix: _Floats) -> _Floats: ...
+
+@final
+class Search:
+    def __new__(
+        cls,
+        bounds: tuple[list[float], list[float]],
+        options_json: str,
+        seed: int,
+        start: list[list[float]],
+    ) -> Search: ...
+    def ask(self) -> _Floats: ...
+    def tell(self, values: _Floats, callback: Callable[[_Floats, float], bool] | None) -> None: ...
+    def is_over(self) -> bool: ...
+    def minimum(self) -> dict[str, Any]: ...
+
+@final
+class Problem:
+    def __new__(
+        cls, name: str, dimension: int, shift: list[float] | None, rotation_seed: int | None
+    ) -> Problem: ...
+    def values(self, points: _Floats) -> _Floats: ...
+
 def minimize(
-    fun: str | Callable[[_Floats], float],
+    problem: Problem,
     bounds: tuple[list[float], list[float]],
     options_json: str,
     seed: int,
     start: list[list[float]],
     callback: Callable[[_Floats, float], bool] | None,
+    n_threads: int | None,
 ) -> dict[str, Any]: ...
+def methods() -> list[str]: ...
 def benchmark_functions() -> list[tuple[str, str, float, float]]: ...
-def benchmark_value(name: str, x: _Floats) -> float: ...
 def chaotic_sequence(n: int, seed: int) -> _Floats: ...
 def levy_steps(n: int, seed: int, factor: float | None) -> _Floats: ...

@@ -27,6 +27,8 @@ else:
     import tomli as tomllib
 
 Mode: TypeAlias = Literal["robust", "paper"]
+Method: TypeAlias = Literal["tmchho", "tmchho_free", "hho", "pso", "woa", "boa", "doa"]
+MutationReading: TypeAlias = Literal["stagnant", "every_hawk", "after_dives", "after_besieges"]
 _Section = TypeVar("_Section")
 
 
@@ -105,7 +107,7 @@ class HawkOptions:
     Parameters
     ----------
     n_hawks : int, optional
-        Size of the population, at least 1.
+        Size of the population, at least 4.
     n_iterations : int, optional
         How often the population is evaluated, at least 1.
     max_evaluations : int, optional
@@ -117,7 +119,12 @@ class HawkOptions:
     chaotic_start : bool, optional
         Start from the chaotic map of Eq. (6) instead of uniform random numbers.
     trigonometric_mutation : bool, optional
-        Mutate stagnant hawks by Eq. (7).
+        Mutate hawks by Eq. (7), and keep the mutation where it is better.
+    mutation_reading : {'stagnant', 'every_hawk', 'after_dives', 'after_besieges'}, optional
+        Which hawks are mutated: those that did not improve while they besieged or dived, all that did either,
+        or those that did not improve while they did the one or the other.
+    translation_invariant : bool, optional
+        Apply the rules in coordinates whose origin is the best point so far. Not in the paper.
     """
 
     n_hawks: int | None = None
@@ -127,6 +134,8 @@ class HawkOptions:
     mutation_variance: float | None = None
     chaotic_start: bool | None = None
     trigonometric_mutation: bool | None = None
+    mutation_reading: MutationReading | None = None
+    translation_invariant: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -138,11 +147,15 @@ class PaperSearchOptions:
     search_box : {'centred', 'literal'}, optional
         Angles in [-π, π] and shifts within half a diagonal of where the centroids meet, or all six
         parameters in [-50, 50] as printed.
+    method : {'tmchho', 'tmchho_free', 'hho', 'pso', 'woa', 'boa', 'doa'}, optional
+        The optimiser.
     hawks : HawkOptions
-        How the search runs.
+        How the search runs. Method 'hho' has neither of the two improvements, whatever is said here; the
+        methods without hawks take the size of the population and the limits alone.
     """
 
     search_box: Literal["centred", "literal"] | None = None
+    method: Method | None = None
     hawks: HawkOptions = HawkOptions()
 
 

@@ -1,149 +1,96 @@
-"""Minimisers of a function over a box: Harris hawks, plain and with the paper's improvements."""
+"""`minimize`: search a box for the lowest value of a function, with Harris hawks and their rivals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tmchho import _core
-from tmchho.arguments import (
-    checked_array,
-    checked_callable,
-    checked_choice,
-    checked_count,
-    checked_number,
-    checked_seed,
+from tmchho.arguments import checked_callable, checked_count
+from tmchho.benchmarks import BenchmarkProblem
+from tmchho.config import Method, MutationReading
+from tmchho.errors import InvalidArgumentError
+from tmchho.optimizer import (
+    Bounds,
+    MinimizeResult,
+    StopCallback,
+    answering,
+    box,
+    checked_order,
+    result_of,
 )
-from tmchho.config import options_json
-from tmchho.errors import BudgetError, InvalidArgumentError
-from tmchho.progress import says_stop
-from tmchho.results import ReadOnlyArrays
-
-# Beyond these a search would not fit into memory: 8 bytes each, several times over.
-_MOST_HAWKS = 10**6
-_MOST_COORDINATES = 10**8
-_MOST_ITERATIONS = 10**8
-
-# In the order of their numbers in `MinimizeResult.status`.
-_ENDINGS = {
-    "max_iterations": "all iterations are done",
-    "max_evaluations": "the calls of the function that were allowed are used up",
-    "callback": "stopped by the callback",
-}
-
-
-class BenchmarkFunction(NamedTuple):
-    """One of the seven functions of the paper's Table 1; all have their minimum at the origin.
-
-    Parameters
-    ----------
-    name : str
-        ``f1`` to ``f7``.
-    title : str
-        The name that others use.
-    range : float
-        Each coordinate lies within ± this.
-    minimum : float
-        The lowest value.
-    """
-
-    name: str
-    title: str
-    range: float
-    minimum: float
-
-
-@dataclass(frozen=True, eq=False)
-class MinimizeResult(ReadOnlyArrays):
-    """What a search found, in the words of scipy.
-
-    Parameters
-    ----------
-    x : (d,) float64 array
-        Best point, always inside the bounds.
-    fun : float
-        Its value; infinite where the function never gave a number.
-    nfev : int
-        Calls of the function.
-    nit : int
-        Iterations done.
-    success : bool
-        Whether the search ran to its end and found a finite value. That it is the minimum nobody knows.
-    status : int
-        0: all iterations done, 1: calls of the function used up, 2: stopped by the callback.
-    message : str
-        The same in words.
-    history : (nit,) float64 array
-        Best value after each iteration.
-    n_nan : int
-        Calls whose value was not a number; they count as infinite.
-    """
-
-    x: NDArray[np.float64]
-    fun: float
-    nfev: int
-    nit: int
-    success: bool
-    status: int
-    message: str
-    history: NDArray[np.float64]
-    n_nan: int
 
 
 def minimize(
-    fun: str | Callable[[NDArray[np.float64]], float],
-    bounds: Sequence[tuple[float, float]] | ArrayLike | None = None,
+    fun: str | BenchmarkProblem | Callable[[NDArray[np.float64]], Any],
+    bounds: Bounds | None = None,
     *,
-    method: Literal["tmchho", "hho"] = "tmchho",
+    method: Method = "tmchho",
     dimension: int | None = None,
-    n_hawks: int | None = None,
+    population_size: int | None = None,
     n_iterations: int | None = None,
     max_evaluations: int | None = None,
+    max_seconds: float | None = None,
     seed: int = 0,
-    callback: Callable[[NDArray[np.float64], float], object] | None = None,
+    callback: StopCallback | None = None,
     x0: ArrayLike | None = None,
+    vectorized: bool = False,
+    n_threads: int | None = None,
     levy_factor: float | None = None,
     mutation_variance: float | None = None,
     chaotic_start: bool | None = None,
     trigonometric_mutation: bool | None = None,
+    mutation_reading: MutationReading | None = None,
 ) -> MinimizeResult:
-    """Search a box for the lowest value of a function, by Harris hawks.
+    """Search a box for the lowest value of a function.
 
-    What to expect: two of the rules pull the hawks towards the origin of the coordinates. Minima there are
-    found to many digits, minima elsewhere are not.
+    What to expect: all methods but 'tmchho_free' and 'pso' are pulled towards the origin of the coordinates
+    by their rules. Minima there are found to many digits, minima elsewhere are not.
 
     Parameters
     ----------
-    fun : callable or {'f1', …, 'f7'}
+    fun : callable, BenchmarkProblem or {'f1', …, 'f7'}
         Takes a (d,) float64 array of its own and returns a float; called from the calling thread, one point
-        at a time. The name of a function of the paper's Table 1 is evaluated wholly in Rust.
+        at a time. The name of a function of the paper's Table 1, or a `BenchmarkProblem`, is evaluated wholly
+        in Rust.
     bounds : sequence of (low, high), or an object with ``lb`` and ``ub``
-        The box, one pair for each coordinate; equal ends hold a coordinate fixed. For a name the paper's box
-        of `dimension` coordinates, where not given.
-    method : {'tmchho', 'hho'}
-        With the chaotic start and the trigonometric mutation, or plain.
+        The box, one pair for each coordinate; equal ends hold a coordinate fixed. For a built-in function the
+        paper's box, where not given.
+    method : {'tmchho', 'tmchho_free', 'hho', 'pso', 'woa', 'boa', 'doa'}
+        Harris hawks with the chaotic start and the trigonometric mutation (the paper's), the same without the
+        pull towards the origin (ours), Harris hawks without either, particles, whales, butterflies, dingoes.
     dimension : int, optional
         Number of coordinates; needed for a name without bounds.
-    n_hawks : int, optional
-        Size of the population, at least 1; the mutation needs 3.
+    population_size : int, optional
+        At least 4; 30 where not given.
     n_iterations : int, optional
-        How often the population is evaluated, at least 1.
+        How often the whole population is evaluated, at least 1; 500 where not given.
     max_evaluations : int, optional
-        Calls of the function after which the search ends, at least 1; no limit where not given.
+        Points after which the search ends, at least 1; no limit where not given.
+    max_seconds : float, optional
+        Time after which the search ends, at least 0; no limit where not given. A search that ends by the
+        clock cannot be repeated.
     seed : int
         The same seed gives the same result.
     callback : callable, optional
         Gets the best point and its value after each iteration, and answers True to stop.
     x0 : (d,) or (k, d) array_like, optional
         Points to start from; they are clipped to the box and replace the last ones of the population.
+    vectorized : bool
+        Whether `fun` takes an (n, d) array and returns n values. n is as many as the method can name at once:
+        all for 'pso' and 'woa', often one for the others, whose members move one after another.
+    n_threads : int, optional
+        Threads that share a built-in function where it is dear; all cores where not given. Never changes the
+        result.
     levy_factor, mutation_variance : float, optional
-        Factor of the Lévy flight and variance of the mutation's factor o, at least 0.
+        Factor of the Lévy flight and variance of the mutation's factor o, at least 0 (hawks only).
     chaotic_start, trigonometric_mutation : bool, optional
-        Each improvement alone; as `method` says where not given.
+        Each improvement alone; as `method` says where not given (hawks only).
+    mutation_reading : {'stagnant', 'every_hawk', 'after_dives', 'after_besieges'}, optional
+        Which hawks are mutated, see `HawkOptions`; the first where not given (hawks only).
 
     Returns
     -------
@@ -157,9 +104,14 @@ def minimize(
     BudgetError
         If the population would not fit into memory.
 
+    See Also
+    --------
+    Optimizer : the same search for functions that are evaluated elsewhere.
+
     Notes
     -----
-    Heidari et al. (2019); Ren, Zhao & Han (2023), Sections 4.3 and 4.4, Eqs. (5) to (7).
+    Heidari et al. (2019); Ren, Zhao & Han (2023), Sections 4.3 and 4.4, Eqs. (5) to (7); their rivals with
+    the parameters of their Table 2.
 
     Examples
     --------
@@ -170,112 +122,80 @@ def minimize(
     >>> found.fun < 1e-6, found.nit
     (True, 50)
     """
-    improved = checked_choice("method", method, ("tmchho", "hho")) == "tmchho"
-    is_named = isinstance(fun, str)
-    if not is_named and not callable(fun):
+    if not isinstance(fun, (str, BenchmarkProblem)) and not callable(fun):
         raise InvalidArgumentError(f"fun must be callable or the name of a function, got {fun!r}")
     checked_callable("callback", callback)
-    n_hawks = _count("n_hawks", n_hawks, _MOST_HAWKS)
-    low, high = _box(fun if isinstance(fun, str) else None, bounds, dimension)
-    if n_hawks is not None and n_hawks * len(low) > _MOST_COORDINATES:
-        raise BudgetError(
-            f"{n_hawks} hawks of {len(low)} coordinates do not fit into memory; "
-            f"n_hawks times dimension can be {_MOST_COORDINATES} at most"
-        )
-    options = options_json(
-        n_hawks=n_hawks,
-        n_iterations=_count("n_iterations", n_iterations, _MOST_ITERATIONS),
-        max_evaluations=_count("max_evaluations", max_evaluations, 2**53),
-        levy_factor=None if levy_factor is None else checked_number("levy_factor", levy_factor),
-        mutation_variance=(
-            None if mutation_variance is None else checked_number("mutation_variance", mutation_variance)
-        ),
-        chaotic_start=improved if chaotic_start is None else bool(chaotic_start),
-        trigonometric_mutation=improved if trigonometric_mutation is None else bool(trigonometric_mutation),
-    )
-    start = [] if x0 is None else checked_array("x0", np.atleast_2d(np.asarray(x0)), (-1, len(low))).tolist()
-    found = _core.minimize(
-        fun if isinstance(fun, str) else _objective(fun),
-        (low, high),
-        options,
-        checked_seed(seed),
-        start,
-        None if callback is None else lambda x, value: says_stop(callback(x, value)),
-    )
-    ending = found.pop("stop_reason")
-    return MinimizeResult(
-        **found,
-        success=ending != "callback" and bool(np.isfinite(found["fun"])),
-        status=list(_ENDINGS).index(ending),
-        message=_ENDINGS[ending],
-    )
-
-
-def benchmark_functions() -> tuple[BenchmarkFunction, ...]:
-    """Return the seven functions of the paper's Table 1, in its order.
-
-    Examples
-    --------
-    >>> benchmark_functions()[4]
-    BenchmarkFunction(name='f5', title='Rastrigin', range=5.12, minimum=0.0)
-    """
-    return tuple(BenchmarkFunction(*function) for function in _core.benchmark_functions())
-
-
-def benchmark_value(name: str, x: ArrayLike) -> float:
-    """Return the value of one of the functions of Table 1.
-
-    Parameters
-    ----------
-    name : {'f1', …, 'f7'}
-        Which.
-    x : (d,) array_like
-        Where.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If there is no such function, or `x` is not a vector of numbers.
-
-    Examples
-    --------
-    >>> benchmark_value("f1", [3.0, 4.0])
-    25.0
-    """
-    return _core.benchmark_value(name, checked_array("x", x, (-1,)))
-
-
-def _box(name: str | None, bounds: Any, dimension: int | None) -> tuple[list[float], list[float]]:
-    """Return the low and the high ends."""
-    n = None if dimension is None else checked_count("dimension", dimension, 1, _MOST_HAWKS)
+    n = None if dimension is None else checked_count("dimension", dimension, 1, 10**6)
+    if bounds is None and isinstance(fun, str) and n is not None:
+        fun = BenchmarkProblem(fun, n)
+    if bounds is None and isinstance(fun, BenchmarkProblem):
+        bounds = fun.bounds
     if bounds is None:
-        ranges = {function.name: function.range for function in benchmark_functions()}
-        if name is None or n is None:
-            raise InvalidArgumentError(
-                "bounds must be given: a (low, high) pair for each coordinate; only a function called by its "
-                "name can do with dimension instead"
-            )
-        if name not in ranges:
-            raise InvalidArgumentError(f"fun must be callable or one of {', '.join(ranges)}, got '{name}'")
-        return [-ranges[name]] * n, [ranges[name]] * n
-    if hasattr(bounds, "lb") and hasattr(bounds, "ub"):
-        bounds = np.column_stack([np.atleast_1d(bounds.lb), np.atleast_1d(bounds.ub)])
-    pairs = checked_array("bounds", bounds, (-1, 2))
-    if n not in (None, len(pairs)):
-        raise InvalidArgumentError(f"dimension = {n} does not agree with {len(pairs)} pairs of bounds")
-    return pairs[:, 0].tolist(), pairs[:, 1].tolist()
+        raise InvalidArgumentError(
+            "bounds must be given: a (low, high) pair for each coordinate; only a function called by its "
+            "name can do with dimension instead"
+        )
+    n_pairs = len(box(bounds)[0])
+    if isinstance(fun, str):
+        fun = BenchmarkProblem(fun, n_pairs)
+    for needed in (n, fun.dimension if isinstance(fun, BenchmarkProblem) else None):
+        if needed not in (None, n_pairs):
+            raise InvalidArgumentError(f"dimension = {needed} does not agree with {n_pairs} pairs of bounds")
+    order = checked_order(
+        bounds,
+        method=method,
+        population_size=population_size,
+        n_iterations=n_iterations,
+        max_evaluations=max_evaluations,
+        max_seconds=max_seconds,
+        seed=seed,
+        x0=x0,
+        levy_factor=levy_factor,
+        mutation_variance=mutation_variance,
+        chaotic_start=chaotic_start,
+        trigonometric_mutation=trigonometric_mutation,
+        mutation_reading=mutation_reading,
+    )
+    told = None if callback is None else answering(callback)
+    if isinstance(fun, BenchmarkProblem):
+        threads = None if n_threads is None else checked_count("n_threads", n_threads, 1, 1024)
+        return result_of(_core.minimize(fun.in_rust, *order, told, threads))
+    if n_threads is not None:
+        raise InvalidArgumentError(
+            "n_threads is for built-in functions; a callable is called from the calling thread"
+        )
+    values_at = _many(fun) if vectorized else _one_by_one(fun)
+    search = _core.Search(*order)
+    while not search.is_over():
+        search.tell(values_at(search.ask()), told)
+    return result_of(search.minimum())
 
 
-def _objective(fun: Callable[[NDArray[np.float64]], Any]) -> Callable[[NDArray[np.float64]], float]:
-    def value_at(x: NDArray[np.float64]) -> float:
-        value = fun(x)
+def _one_by_one(fun: Callable[[NDArray[np.float64]], Any]) -> Callable[..., NDArray[np.float64]]:
+    def values_at(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        values = np.empty(len(points))
+        for i, x in enumerate(points):
+            value = fun(x)
+            try:
+                values[i] = float(value)
+            except (TypeError, ValueError) as error:
+                raise InvalidArgumentError(f"fun must return a number, got {value!r}") from error
+        return values
+
+    return values_at
+
+
+def _many(fun: Callable[[NDArray[np.float64]], Any]) -> Callable[..., NDArray[np.float64]]:
+    def values_at(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        answer = fun(points)
         try:
-            return float(value)
+            values = np.ascontiguousarray(answer, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InvalidArgumentError(f"fun must return a number, got {value!r}") from error
+            raise InvalidArgumentError(f"fun must return numbers, got {answer!r}") from error
+        if values.shape != (len(points),):
+            raise InvalidArgumentError(
+                f"fun must return one number for each of the {len(points)} points, got shape {values.shape}"
+            )
+        return values
 
-    return value_at
-
-
-def _count(name: str, value: int | None, most: int) -> int | None:
-    return None if value is None else checked_count(name, value, 1, most)
+    return values_at

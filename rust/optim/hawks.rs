@@ -1,7 +1,8 @@
-//! Harris hawks optimisation (HHO) and, with both improvements switched on, TMCHHO.
+//! Harris hawks optimisation (HHO) and, with both improvements switched on, TMCHHO; and a variant
+//! of our own that has no favourite place.
 //!
-//! Why: TMCHHO is HHO with a chaotic start population and a mutation for stagnant hawks; one loop
-//! with two switches keeps them the same everywhere else, and either improvement can be judged alone.
+//! Why: TMCHHO is HHO with a chaotic start population and a mutation for stagnant hawks; one search
+//! with switches keeps them the same everywhere else, and each change can be judged alone.
 //! Source: Heidari et al. (2019) and their published program; Ren, Zhao & Han (2023), Sec. 4.3
 //! and 4.4, Eq. (5) to (7).
 //! Deviates: trial points are clipped before they are evaluated, not after, so that the answer is
@@ -10,13 +11,27 @@
 //! with fewer calls. With the mutation on, every new position is clipped and evaluated at once,
 //! because the mutation needs the values of all hawks.
 
-use crate::error::{Error, Result, require_at_least, require_count};
-use crate::random::Stream;
+use crate::error::{Result, require_between};
 
 use super::hunt::Hunt;
-use super::{
-    Bounds, IterationListener, IterationReport, Minimum, Objective, Optimizer, StopReason, chaos,
-};
+use super::search::Search;
+use super::start::{self, Spread};
+use super::{Bounds, Budget, Optimizer};
+
+/// Which hawks Eq. (7) is for; the paper says "the stagnant population" and no more.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MutationReading {
+    /// A hawk that did not improve while it besieged or dived.
+    #[default]
+    Stagnant,
+    /// Every hawk that besieged or dived.
+    EveryHawk,
+    /// A hawk that dived and did not improve.
+    AfterDives,
+    /// A hawk that besieged and did not improve.
+    AfterBesieges,
+}
 
 /// Settings of the search by hawks; the default is TMCHHO.
 ///
@@ -34,7 +49,7 @@ use super::{
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HawkOptions {
-    /// Size of the population; ≥ 1 (the mutation needs 3).
+    /// Size of the population; ≥ 4.
     pub n_hawks: usize,
     /// How often the population is evaluated; ≥ 1.
     pub n_iterations: usize,
@@ -46,8 +61,17 @@ pub struct HawkOptions {
     pub mutation_variance: f64,
     /// Start from the chaotic map of Eq. (6) instead of uniform random numbers.
     pub chaotic_start: bool,
-    /// Mutate stagnant hawks by Eq. (7).
+    /// Mutate hawks by Eq. (7), and keep the mutation where it is better.
     pub trigonometric_mutation: bool,
+    /// Which hawks are mutated.
+    pub mutation_reading: MutationReading,
+    /// Apply the rules in coordinates whose origin is the prey: no place is favoured. Not in the
+    /// paper.
+    pub translation_invariant: bool,
+    /// Seconds after which the search ends; ≥ 0, `None` for no limit. No key of a configuration,
+    /// because a search that ends by the clock cannot be repeated.
+    #[serde(skip)]
+    pub max_seconds: Option<f64>,
 }
 
 impl Default for HawkOptions {
@@ -60,6 +84,9 @@ impl Default for HawkOptions {
             mutation_variance: 0.1,
             chaotic_start: true,
             trigonometric_mutation: true,
+            mutation_reading: MutationReading::default(),
+            translation_invariant: false,
+            max_seconds: None,
         }
     }
 }
@@ -79,105 +106,55 @@ impl HawkOptions {
         }
     }
 
+    /// TMCHHO without the pull towards the origin: ours, not the paper's.
+    pub fn tmchho_free() -> Self {
+        Self {
+            translation_invariant: true,
+            ..Self::default()
+        }
+    }
+
     pub(crate) fn check(&self) -> Result<()> {
-        require_count("n_hawks", self.n_hawks, 1, 1_000_000)?;
-        require_count("n_iterations", self.n_iterations, 1, 10_000_000)?;
-        if let Some(max_evaluations) = self.max_evaluations {
-            require_at_least("max_evaluations", max_evaluations, 1)?;
-        }
-        for (name, value) in [
-            ("levy_factor", self.levy_factor),
-            ("mutation_variance", self.mutation_variance),
-        ] {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(Error::argument(
-                    name,
-                    format!("must be a number of at least 0, got {value}"),
-                ));
-            }
-        }
+        self.budget().check("n_hawks")?;
+        require_between("levy_factor", self.levy_factor, 0.0, f64::MAX)?;
+        require_between("mutation_variance", self.mutation_variance, 0.0, f64::MAX)?;
         Ok(())
+    }
+
+    /// The same with another size and other limits.
+    pub(super) fn within(self, budget: Budget) -> Self {
+        Self {
+            n_hawks: budget.population_size,
+            n_iterations: budget.n_iterations,
+            max_evaluations: budget.max_evaluations,
+            max_seconds: budget.max_seconds,
+            ..self
+        }
+    }
+
+    /// The size and the limits alone.
+    pub(crate) fn budget(&self) -> Budget {
+        Budget {
+            population_size: self.n_hawks,
+            n_iterations: self.n_iterations,
+            max_evaluations: self.max_evaluations,
+            max_seconds: self.max_seconds,
+        }
     }
 }
 
 impl Optimizer for HawkOptions {
-    fn minimize_from(
-        &self,
-        objective: &dyn Objective,
-        bounds: &Bounds,
-        seed: u64,
-        start: &[Vec<f64>],
-        on_iteration: &mut IterationListener<'_>,
-    ) -> Result<Minimum> {
+    fn search(&self, bounds: &Bounds, seed: u64, start: &[Vec<f64>]) -> Result<Search> {
         self.check()?;
-        let population = start_population(self, bounds, seed, start)?;
-        let mut hunt = Hunt::new(self, objective, bounds, seed, population);
-        let mut history = Vec::with_capacity(self.n_iterations);
-        let stop_reason = loop {
-            hunt.evaluate_hawks();
-            hunt.update_prey();
-            history.push(hunt.prey_fitness);
-            let report = IterationReport {
-                n_iterations: history.len(),
-                max_iterations: self.n_iterations,
-                n_evaluations: hunt.evaluator.n_evaluations,
-                x: &hunt.prey,
-                fun: hunt.prey_fitness,
-            };
-            if on_iteration(&report).is_break() {
-                break StopReason::Callback;
-            }
-            if history.len() == self.n_iterations {
-                break StopReason::MaxIterations;
-            }
-            if hunt.evaluator.is_spent() {
-                break StopReason::MaxEvaluations;
-            }
-            hunt.move_hawks(history.len() - 1);
+        let spread = if self.chaotic_start {
+            Spread::Chaotic
+        } else {
+            Spread::Uniform
         };
-        Ok(hunt.finish(history, stop_reason))
+        let hawks = start::population(spread, self.n_hawks, bounds, seed, start)?;
+        let hunt = Hunt::new(self, bounds, seed, hawks);
+        Ok(Search::new(Box::new(hunt), &self.budget()))
     }
-}
-
-/// Where the hawks start: spread over the box, the last ones on the points given.
-fn start_population(
-    options: &HawkOptions,
-    bounds: &Bounds,
-    seed: u64,
-    start: &[Vec<f64>],
-) -> Result<Vec<Vec<f64>>> {
-    let n = options.n_hawks;
-    if start.len() > n {
-        return Err(Error::argument(
-            "start",
-            format!(
-                "must have at most n_hawks = {n} points, got {}",
-                start.len()
-            ),
-        ));
-    }
-    let mut population = if options.chaotic_start {
-        chaos::population(bounds, n, seed)
-    } else {
-        let mut stream = Stream::new(seed, "uniform start", 0);
-        let mut fractions = std::iter::repeat_with(|| stream.uniform());
-        (0..n).map(|_| bounds.at(&mut fractions)).collect()
-    };
-    for (i, point) in start.iter().enumerate() {
-        if point.len() != bounds.dimension() || !point.iter().all(|x| x.is_finite()) {
-            return Err(Error::argument(
-                "start",
-                format!(
-                    "must have points of {} finite coordinates, got {point:?} at index {i}",
-                    bounds.dimension()
-                ),
-            ));
-        }
-        let hawk = &mut population[n - start.len() + i];
-        hawk.clone_from(point);
-        bounds.clip(hawk);
-    }
-    Ok(population)
 }
 
 #[cfg(test)]
@@ -185,6 +162,8 @@ mod tests {
     use std::ops::ControlFlow;
 
     use super::*;
+    use crate::error::Error;
+    use crate::optim::StopReason;
     use crate::optim::test_functions;
     use crate::parallel::with_threads;
 
@@ -234,7 +213,7 @@ mod tests {
                 other => panic!("{name}: {other:?}"),
             }
         };
-        refused("n_hawks", |options| options.n_hawks = 0);
+        refused("n_hawks", |options| options.n_hawks = 3);
         refused("n_iterations", |options| options.n_iterations = 0);
         refused("max_evaluations", |options| {
             options.max_evaluations = Some(0)
@@ -243,25 +222,6 @@ mod tests {
         refused("mutation_variance", |options| {
             options.mutation_variance = f64::NAN
         });
-    }
-
-    #[test]
-    fn start_points_replace_the_last_hawks() {
-        let bounds = Bounds::cube(2, -1.0, 1.0).unwrap();
-        let options = HawkOptions::hho();
-        let without = start_population(&options, &bounds, 3, &[]).unwrap();
-        let given = [vec![0.5, 0.25], vec![9.0, 0.0]];
-        let with = start_population(&options, &bounds, 3, &given).unwrap();
-        assert_eq!(with[..28], without[..28]);
-        assert_eq!(with[28..], [vec![0.5, 0.25], vec![1.0, 0.0]]);
-
-        let refused = |start: &[Vec<f64>]| {
-            let error = start_population(&options, &bounds, 3, start).unwrap_err();
-            assert!(error.to_string().starts_with("start must"), "{error}");
-        };
-        refused(&vec![vec![0.0, 0.0]; 31]);
-        refused(&[vec![0.0]]);
-        refused(&[vec![0.0, f64::NAN]]);
     }
 
     #[test]

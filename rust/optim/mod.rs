@@ -4,24 +4,42 @@
 //! read, tested and compared with its rivals on functions whose lowest value is known.
 //!
 //! Read in this order: [`Bounds`] and [`Objective`] say what is asked, [`moves`], [`chaos`] and
-//! [`levy`] are the equations, [`HawkOptions`] is the loop that uses them, [`Minimum`] is the
-//! answer, [`test_functions`] are the paper's seven examples.
+//! [`levy`] are the equations, [`HawkOptions`] is the search that uses them, [`Search`] asks and is
+//! told, [`Minimum`] is the answer. The rivals are [`PsoOptions`], [`WoaOptions`], [`BoaOptions`] and
+//! [`DoaOptions`]; [`Method`] knows all by name. [`test_functions`] are the paper's seven examples.
 
+pub mod boa;
 mod bounds;
+mod budget;
 pub mod chaos;
+pub mod doa;
 mod evaluator;
 mod hawks;
 mod hunt;
 pub mod levy;
+mod method;
 pub mod moves;
+mod problem;
+pub mod pso;
+mod search;
+mod start;
 pub mod test_functions;
+pub mod woa;
 
 use std::ops::ControlFlow;
 
 use crate::error::Result;
 
+pub use boa::BoaOptions;
 pub use bounds::Bounds;
-pub use hawks::HawkOptions;
+pub use budget::Budget;
+pub use doa::DoaOptions;
+pub use hawks::{HawkOptions, MutationReading};
+pub use method::{Method, SwarmOptions};
+pub use problem::Problem;
+pub use pso::PsoOptions;
+pub use search::Search;
+pub use woa::WoaOptions;
 
 /// The function to be minimised.
 ///
@@ -77,12 +95,10 @@ pub trait Optimizer {
 
     /// Like [`Optimizer::minimize`], with points to start from and somebody who listens.
     ///
-    /// The points of `start` (clipped to the box) replace the last ones of the start population.
     /// `on_iteration` hears of every iteration and ends the search by answering `Break`.
     ///
     /// # Errors
-    /// [`InvalidArgument`](crate::Error::InvalidArgument) for a setting out of its range, more
-    /// start points than the population has members, or a start point that does not fit the box.
+    /// As [`Optimizer::search`].
     fn minimize_from(
         &self,
         objective: &dyn Objective,
@@ -90,7 +106,20 @@ pub trait Optimizer {
         seed: u64,
         start: &[Vec<f64>],
         on_iteration: &mut IterationListener<'_>,
-    ) -> Result<Minimum>;
+    ) -> Result<Minimum> {
+        let mut search = self.search(bounds, seed, start)?;
+        search.run(objective, on_iteration)?;
+        Ok(search.minimum())
+    }
+
+    /// Begins a search whose values are found by the caller: see [`Search`].
+    ///
+    /// The points of `start` (clipped to the box) replace the last ones of the start population.
+    ///
+    /// # Errors
+    /// [`InvalidArgument`](crate::Error::InvalidArgument) for a setting out of its range, more
+    /// start points than the population has members, or a start point that does not fit the box.
+    fn search(&self, bounds: &Bounds, seed: u64, start: &[Vec<f64>]) -> Result<Search>;
 }
 
 /// Hears of every iteration; `Break` ends the search.
@@ -122,6 +151,10 @@ pub enum StopReason {
     MaxEvaluations,
     /// The listener answered "stop".
     Callback,
+    /// Time was up.
+    MaxSeconds,
+    /// It has not: values are still asked for.
+    NotOver,
 }
 
 /// What a search found.

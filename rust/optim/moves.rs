@@ -8,8 +8,6 @@
 //! Deviates: the numbers e, E, J and o are scalars, S and LF have one entry per coordinate ("two
 //! dimensional" in the paper is a slip); the shares k use absolute values of the fitness.
 
-use super::Bounds;
-
 /// E, which fades from ±2 to 0 and decides what a hawk does.
 ///
 /// `e0` is drawn from U(−1, 1) for each hawk and iteration; `iteration` counts from 0.
@@ -35,13 +33,14 @@ pub fn explore_from_hawk(hawk: &[f64], random_hawk: &[f64], e1: f64, e2: f64) ->
 pub fn explore_from_mean(
     prey: &[f64],
     mean: &[f64],
-    bounds: &Bounds,
+    low: &[f64],
+    high: &[f64],
     e3: f64,
     e4: f64,
 ) -> Vec<f64> {
     // Eq. (5): (O_prey − O_avg) − e3 (Lmin + e4 (Lmax − Lmin))
     (prey.iter().zip(mean))
-        .zip(bounds.low().iter().zip(bounds.high()))
+        .zip(low.iter().zip(high))
         .map(|((o_prey, o_avg), (low, high))| (o_prey - o_avg) - e3 * (low + e4 * (high - low)))
         .collect()
 }
@@ -158,9 +157,8 @@ mod tests {
     fn exploration_from_the_mean() {
         // Lmin + e4 (Lmax - Lmin) = [-10 + 0.25 * 20, 0 + 0.25 * 8] = [-5, 2];
         // ([1, 2] - [3, -1]) - 0.5 * [-5, 2] = [-2, 3] + [2.5, -1]
-        let bounds = Bounds::new(vec![-10.0, 0.0], vec![10.0, 8.0]).unwrap();
         assert_eq!(
-            explore_from_mean(&[1.0, 2.0], &MEAN, &bounds, 0.5, 0.25),
+            explore_from_mean(&[1.0, 2.0], &MEAN, &[-10.0, 0.0], &[10.0, 8.0], 0.5, 0.25),
             [0.5, 2.0]
         );
     }

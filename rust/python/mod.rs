@@ -37,8 +37,10 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(stages::matrix_to_euler, module)?)?;
     module.add_function(wrap_pyfunction!(optim::minimize, module)?)?;
     module.add_function(wrap_pyfunction!(optim::benchmark_functions, module)?)?;
-    module.add_function(wrap_pyfunction!(optim::benchmark_value, module)?)?;
+    module.add_function(wrap_pyfunction!(optim::methods, module)?)?;
     module.add_function(wrap_pyfunction!(optim::chaotic_sequence, module)?)?;
     module.add_function(wrap_pyfunction!(optim::levy_steps, module)?)?;
+    module.add_class::<optim::Problem>()?;
+    module.add_class::<optim::Search>()?;
     Ok(())
 }

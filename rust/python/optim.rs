@@ -1,107 +1,184 @@
 //! The minimisers, on functions written in Python or in Rust, and what they are made of.
+//!
+//! A function in Python is evaluated by Python, which asks a [`Search`] and tells it; a function in
+//! Rust is searched wholly in Rust, on another thread.
 
 use std::ops::ControlFlow;
 use std::sync::mpsc::{self, Sender};
 
+use numpy::{PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
-use super::arrays::{ReadVector, dict, from_vec};
+use super::arrays::{ReadArray, ReadVector, dict, from_vec};
 use super::config::{options, word};
-use super::run::{Caller, briefly, with_messages};
+use super::run::{briefly, with_messages};
 use crate::optim::chaos::ChaoticSequence;
 use crate::optim::test_functions::{self, TestFunction};
-use crate::optim::{Bounds, HawkOptions, Minimum, Objective, Optimizer, levy};
+use crate::optim::{
+    self, Bounds, HawkOptions, Method, Minimum, Objective, Optimizer, SwarmOptions, levy,
+};
 use crate::parallel;
 use crate::random::Stream;
 
-/// What the search wants of the thread that called it.
-enum Question {
-    /// The value at a point.
-    Value(Vec<f64>, Sender<f64>),
-    /// Whether to stop here: the best point and its value.
-    Stop(Vec<f64>, f64, Sender<bool>),
+type Box64 = (Vec<f64>, Vec<f64>);
+
+/// A search that asks for values and is told them.
+#[pyclass(module = "tmchho._core")]
+pub(super) struct Search {
+    search: optim::Search,
+    dimension: usize,
 }
 
-/// Searches the box from `low` to `high` for the lowest value of `fun`: the name of a built-in
-/// function, or a callable that takes an array and returns a float. `callback` takes the best
-/// point and its value after each iteration and returns whether to stop.
+#[pymethods]
+impl Search {
+    #[new]
+    fn new(bounds: Box64, options_json: &str, seed: u64, start: Vec<Vec<f64>>) -> PyResult<Self> {
+        briefly(|| {
+            let options: SwarmOptions = options(options_json)?;
+            let bounds = Bounds::new(bounds.0, bounds.1)?;
+            Ok(Self {
+                search: options.search(&bounds, seed, &start)?,
+                dimension: bounds.dimension(),
+            })
+        })
+    }
+
+    /// The points whose values are wanted, an (n, d) array.
+    fn ask<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        briefly(|| {
+            let points = self.search.ask();
+            let array = PyArray1::from_vec(py, points.concat());
+            Ok(array.reshape([points.len(), self.dimension])?.into_any())
+        })
+    }
+
+    /// Takes their values. `callback` gets the best point and its value after each iteration that is
+    /// completed, and returns whether to stop.
+    fn tell(
+        &mut self,
+        py: Python<'_>,
+        values: ReadVector<'_>,
+        callback: Option<Py<PyAny>>,
+    ) -> PyResult<()> {
+        briefly(|| {
+            let mut failure = None;
+            let mut listen = |report: &optim::IterationReport<'_>| {
+                let Some(callback) = &callback else {
+                    return ControlFlow::Continue(());
+                };
+                let best = (from_vec(py, report.x.to_vec()), report.fun);
+                let answer = (callback.call1(py, best)).and_then(|answer| answer.extract(py));
+                match answer {
+                    Ok(false) => ControlFlow::Continue(()),
+                    Ok(true) => ControlFlow::Break(()),
+                    Err(error) => {
+                        failure = Some(error);
+                        ControlFlow::Break(())
+                    }
+                }
+            };
+            self.search.tell_and_hear(values.as_slice()?, &mut listen)?;
+            failure.map_or(Ok(()), Err)
+        })
+    }
+
+    /// Whether nothing is asked any more.
+    fn is_over(&self) -> bool {
+        self.search.is_over()
+    }
+
+    /// What was found so far.
+    fn minimum<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        briefly(|| minimum(py, self.search.minimum()))
+    }
+}
+
+/// A function of Table 1, moved and turned if wanted.
+#[pyclass(frozen, module = "tmchho._core")]
+pub(super) struct Problem(optim::Problem);
+
+#[pymethods]
+impl Problem {
+    #[new]
+    fn new(
+        name: &str,
+        dimension: usize,
+        shift: Option<Vec<f64>>,
+        rotation_seed: Option<u64>,
+    ) -> PyResult<Self> {
+        briefly(|| {
+            let mut problem = optim::Problem::new(name, dimension)?;
+            if let Some(shift) = shift {
+                problem = problem.shifted(shift)?;
+            }
+            if let Some(seed) = rotation_seed {
+                problem = problem.rotated(seed);
+            }
+            Ok(Self(problem))
+        })
+    }
+
+    /// The values at the rows of an (n, d) array.
+    fn values<'py>(&self, py: Python<'py>, points: ReadArray<'_>) -> PyResult<Bound<'py, PyAny>> {
+        briefly(|| {
+            let dimension = self.0.dimension();
+            let rows = points.as_slice()?.chunks_exact(dimension);
+            let values: Vec<f64> = rows.map(|x| self.0.evaluate(x)).collect();
+            Ok(from_vec(py, values))
+        })
+    }
+}
+
+/// What the search wants of the thread that called it: whether to stop, at the best point and value.
+struct AskToStop(Vec<f64>, f64, Sender<bool>);
+
+/// Searches the box from `low` to `high` for the lowest value of a function in Rust. `callback` takes
+/// the best point and its value after each iteration and returns whether to stop.
 #[pyfunction]
+#[allow(clippy::too_many_arguments)] // one doorway for all
 pub(super) fn minimize<'py>(
     py: Python<'py>,
-    fun: Py<PyAny>,
-    bounds: (Vec<f64>, Vec<f64>),
+    problem: Py<Problem>,
+    bounds: Box64,
     options_json: &str,
     seed: u64,
     start: Vec<Vec<f64>>,
     callback: Option<Py<PyAny>>,
+    n_threads: Option<usize>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (bounds, options) = briefly(|| {
-        let options: HawkOptions = options(options_json)?;
+        let options: SwarmOptions = options(options_json)?;
         Ok((Bounds::new(bounds.0, bounds.1)?, options))
     })?;
-    let built_in = match fun.extract::<String>(py) {
-        Ok(name) => Some(briefly(|| Ok(test_functions::by_name(&name)?))?),
-        Err(_) => None,
-    };
+    let problem = &problem.get().0;
     let has_callback = callback.is_some();
-    let answer = move |py: Python<'_>, question: Question| -> PyResult<()> {
+    let answer = move |py: Python<'_>, AskToStop(x, value, reply): AskToStop| -> PyResult<()> {
+        let stop = match &callback {
+            Some(callback) => callback.call1(py, (from_vec(py, x), value))?.extract(py)?,
+            None => false,
+        };
         // The search waits for the answer, unless it has given up meanwhile.
-        match question {
-            Question::Value(x, reply) => {
-                let value = fun.call1(py, (from_vec(py, x),))?;
-                reply.send(value.extract(py)?).ok();
-            }
-            Question::Stop(x, value, reply) => {
-                let stop = match &callback {
-                    Some(callback) => callback.call1(py, (from_vec(py, x), value))?.extract(py)?,
-                    None => false,
-                };
-                reply.send(stop).ok();
-            }
-        }
+        reply.send(stop).ok();
         Ok(())
     };
     let found = with_messages(py, answer, |caller| {
-        let search = |objective: &dyn Objective| {
-            options.minimize_from(objective, &bounds, seed, &start, &mut |report| {
-                let stop = caller.wants_to_stop()
-                    || (has_callback
-                        && ask(caller, |reply| {
-                            Question::Stop(report.x.to_vec(), report.fun, reply)
-                        })
-                        .unwrap_or(true));
-                if stop {
+        parallel::with_threads(n_threads, || {
+            options.minimize_from(problem, &bounds, seed, &start, &mut |report| {
+                let is_told_to_stop = || {
+                    let (reply, answer) = mpsc::channel();
+                    caller.tell(AskToStop(report.x.to_vec(), report.fun, reply));
+                    answer.recv().unwrap_or(true)
+                };
+                if caller.wants_to_stop() || (has_callback && is_told_to_stop()) {
                     ControlFlow::Break(())
                 } else {
                     ControlFlow::Continue(())
                 }
             })
-        };
-        match built_in {
-            Some(function) => search(&function.evaluate),
-            // One thread, so that the questions come in the order of the hawks.
-            None => parallel::with_threads(Some(1), || {
-                search(&|x: &[f64]| {
-                    ask(caller, |reply| Question::Value(x.to_vec(), reply)).unwrap_or(f64::NAN)
-                })
-            }),
-        }
+        })
     })?;
     briefly(|| minimum(py, found))
-}
-
-/// The answer of the calling thread; `None` once it has stopped answering.
-fn ask<T>(
-    caller: &Caller<'_, Question>,
-    question: impl FnOnce(Sender<T>) -> Question,
-) -> Option<T> {
-    if caller.wants_to_stop() {
-        return None;
-    }
-    let (reply, answer) = mpsc::channel();
-    caller.tell(question(reply));
-    answer.recv().ok()
 }
 
 fn minimum(py: Python<'_>, found: Minimum) -> PyResult<Bound<'_, PyDict>> {
@@ -114,6 +191,12 @@ fn minimum(py: Python<'_>, found: Minimum) -> PyResult<Bound<'_, PyDict>> {
         "history": from_vec(py, found.history),
         "stop_reason": word(found.stop_reason),
     })
+}
+
+/// The names of the methods.
+#[pyfunction]
+pub(super) fn methods() -> [&'static str; 7] {
+    Method::ALL.map(Method::name)
 }
 
 /// The seven functions of Table 1.
@@ -132,15 +215,6 @@ pub(super) fn benchmark_functions(py: Python<'_>) -> PyResult<Bound<'_, PyList>>
             functions.append((name, title, range, minimum))?;
         }
         Ok(functions)
-    })
-}
-
-/// The value of one of them.
-#[pyfunction]
-pub(super) fn benchmark_value(name: &str, x: ReadVector<'_>) -> PyResult<f64> {
-    briefly(|| {
-        let function = test_functions::by_name(name)?;
-        Ok((function.evaluate)(x.as_slice()?))
     })
 }
 

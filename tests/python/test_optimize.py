@@ -50,7 +50,7 @@ def test_the_seven_functions_are_those_of_table_1() -> None:
 @pytest.mark.parametrize("method", ["tmchho", "hho"])
 def test_a_callable_is_searched_exactly_as_the_built_in(name: str, method: Any) -> None:
     half = next(function.range for function in tmchho.benchmark_functions() if function.name == name)
-    settings: dict[str, Any] = {"method": method, "n_hawks": 8, "n_iterations": 12, "seed": 6}
+    settings: dict[str, Any] = {"method": method, "population_size": 8, "n_iterations": 12, "seed": 6}
     built_in = tmchho.minimize(name, dimension=5, **settings)
     called = tmchho.minimize(lambda x: tmchho.benchmark_value(name, x), [(-half, half)] * 5, **settings)
     np.testing.assert_array_equal(called.x, built_in.x)
@@ -60,7 +60,7 @@ def test_a_callable_is_searched_exactly_as_the_built_in(name: str, method: Any) 
 
 def test_numpy_and_built_in_agree_in_distribution() -> None:
     """The last bits of numpy's sum differ, and with them single runs; the results of many do not."""
-    runs = {"n_hawks": 10, "n_iterations": 15}
+    runs = {"population_size": 10, "n_iterations": 15}
     ours = [tmchho.minimize("f1", dimension=6, seed=seed, **runs).fun for seed in range(60)]
     numpys = [
         tmchho.minimize(FUNCTIONS["f1"], [(-100, 100)] * 6, seed=1000 + seed, **runs).fun
@@ -79,7 +79,7 @@ def test_the_result_adds_up() -> None:
         values.append(bowl(x))
         return values[-1]
 
-    result = tmchho.minimize(noted, BOX, n_hawks=9, n_iterations=30, seed=2)
+    result = tmchho.minimize(noted, BOX, population_size=9, n_iterations=30, seed=2)
     assert result.nfev == len(values)
     assert result.fun == min(values) == bowl(result.x) == result.history[-1]
     assert result.nit == len(result.history) == 30
@@ -100,11 +100,11 @@ def test_the_seed_decides_everything() -> None:
 
 def test_the_defaults_are_those_of_the_core() -> None:
     hawks = tmchho.default_config()["paper"]["hawks"]
-    given = {key: hawks[key] for key in ("n_hawks", "n_iterations", "levy_factor", "mutation_variance")}
-    np.testing.assert_array_equal(
-        tmchho.minimize("f3", dimension=3).history, tmchho.minimize("f3", dimension=3, **given).history
-    )
-    assert tmchho.minimize("f3", dimension=3).nit == hawks["n_iterations"]
+    given = {key: hawks[key] for key in ("n_iterations", "levy_factor", "mutation_variance")}
+    given["population_size"] = hawks["n_hawks"]
+    default, explicit = tmchho.minimize("f3", dimension=3), tmchho.minimize("f3", dimension=3, **given)
+    np.testing.assert_array_equal(default.history, explicit.history)
+    assert default.nit == hawks["n_iterations"]
 
 
 def test_each_improvement_can_be_had_alone() -> None:
@@ -122,7 +122,7 @@ def test_each_improvement_can_be_had_alone() -> None:
 
 def test_the_first_population_is_the_chaotic_one() -> None:
     seen: list[Any] = []
-    tmchho.minimize(lambda x: seen.append(x) or bowl(x), BOX, n_hawks=6, n_iterations=1, seed=8)
+    tmchho.minimize(lambda x: seen.append(x) or bowl(x), BOX, population_size=6, n_iterations=1, seed=8)
     assert np.shape(seen) == (6, 4)
     fractions = (np.array(seen).ravel() + 5) / 15
     np.testing.assert_allclose(fractions, tmchho.chaotic_sequence(24, seed=8), rtol=1e-12)
@@ -134,7 +134,7 @@ def test_points_to_start_from_are_clipped_and_tried() -> None:
         lambda x: seen.append(x.tolist()) or bowl(x),
         BOX,
         x0=[[1, 2, 3, 4], [99, -99, 0, 0]],
-        n_hawks=6,
+        population_size=6,
         n_iterations=1,
     )
     assert seen[-2:] == [[1, 2, 3, 4], [10, -5, 0, 0]]
@@ -164,7 +164,7 @@ def test_nan_counts_as_infinite_and_is_counted() -> None:
     result = tmchho.minimize(lambda x: seen.append(half_nan(x)) or seen[-1], BOX, n_iterations=30)
     assert result.n_nan == np.isnan(seen).sum() > 0
     assert np.isfinite(result.fun)
-    never = tmchho.minimize(lambda x: float("nan"), BOX, n_hawks=5, n_iterations=4)
+    never = tmchho.minimize(lambda x: float("nan"), BOX, population_size=5, n_iterations=4)
     assert (never.fun, never.success, never.n_nan) == (np.inf, False, never.nfev)
 
 
@@ -176,7 +176,7 @@ def test_a_value_of_another_kind_is_refused(value: Any) -> None:
 
 @pytest.mark.parametrize("value", [np.float32(2), np.array(2.0), 2, True])
 def test_what_is_almost_a_float_will_do(value: Any) -> None:
-    assert tmchho.minimize(lambda x: value, BOX, n_hawks=3, n_iterations=2).fun == float(value)
+    assert tmchho.minimize(lambda x: value, BOX, population_size=4, n_iterations=2).fun == float(value)
 
 
 # ---- callbacks and exceptions
@@ -207,7 +207,7 @@ def test_python_is_called_by_the_calling_thread_only() -> None:
         return 0.0
 
     with np.errstate(divide="raise"):
-        tmchho.minimize(note, BOX, callback=note, n_hawks=3, n_iterations=3)
+        tmchho.minimize(note, BOX, callback=note, population_size=4, n_iterations=3)
     assert threads == {threading.get_ident()}
 
 
@@ -232,9 +232,9 @@ def test_exceptions_come_out_unchanged(error: BaseException) -> None:
 
 def test_a_search_within_a_search() -> None:
     def outer(x: Any) -> float:
-        return tmchho.minimize(lambda y: bowl(y) + x[0] ** 2, [(0, 2)], n_hawks=3, n_iterations=3).fun
+        return tmchho.minimize(lambda y: bowl(y) + x[0] ** 2, [(0, 2)], population_size=4, n_iterations=3).fun
 
-    assert tmchho.minimize(outer, [(-1, 1)], n_hawks=3, n_iterations=3).fun >= 0.0
+    assert tmchho.minimize(outer, [(-1, 1)], population_size=4, n_iterations=3).fun >= 0.0
 
 
 # ---- arguments
@@ -255,9 +255,14 @@ def test_a_search_within_a_search() -> None:
         ({"bounds": [(0, np.inf)]}, "bounds"),
         ({"bounds": [(0, 1, 2)]}, "bounds"),
         ({"bounds": "box"}, "bounds"),
-        ({"method": "pso"}, "method"),
-        ({"n_hawks": 0}, "n_hawks"),
-        ({"n_hawks": 10**12}, "n_hawks"),
+        ({"method": "gwo"}, "method"),
+        ({"method": "pso", "chaotic_start": True}, "chaotic_start is a setting of hho"),
+        ({"method": "woa", "levy_factor": 1.0}, "levy_factor is a setting of hho"),
+        ({"n_threads": 2}, "n_threads"),
+        ({"max_seconds": -1}, "max_seconds"),
+        ({"mutation_reading": "never"}, "never"),
+        ({"population_size": 3}, "population_size must be between 4"),
+        ({"population_size": 10**12}, "population_size"),
         ({"n_iterations": 2.5}, "n_iterations"),
         ({"n_iterations": 10**15}, "n_iterations"),
         ({"max_evaluations": 0}, "max_evaluations"),
@@ -268,7 +273,7 @@ def test_a_search_within_a_search() -> None:
         ({"callback": 3}, "callback"),
         ({"x0": [1.0, 2.0]}, "x0"),
         ({"x0": [[np.nan] * 4]}, "finite"),
-        ({"x0": [[1.0] * 4] * 5, "n_hawks": 3}, "n_hawks"),
+        ({"x0": [[1.0] * 4] * 5, "population_size": 4}, "start must"),
     ],
 )
 def test_a_wrong_argument_is_refused_by_its_name(arguments: dict[str, Any], problem: str) -> None:
@@ -277,5 +282,5 @@ def test_a_wrong_argument_is_refused_by_its_name(arguments: dict[str, Any], prob
 
 
 def test_a_population_that_does_not_fit_into_memory_is_refused() -> None:
-    with pytest.raises(errors.BudgetError, match="n_hawks"):
-        tmchho.minimize("f1", dimension=10**6, n_hawks=10**6)
+    with pytest.raises(errors.BudgetError, match="population_size"):
+        tmchho.minimize("f1", dimension=10**6, population_size=10**6)
