@@ -11,12 +11,13 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tmchho.benchmarks import BenchmarkProblem
 from tmchho.paper.extras import is_there
-from tmchho.paper.problems import Problem
 
 _LIBRARIES = {"cma_es": "cma", "de": "scipy"}
 # One search of `cma` at a time: it draws from numpy's global generator, so that two would mix their numbers.
@@ -28,7 +29,9 @@ def missing_libraries() -> dict[str, str]:
     return {method: name for method, name in _LIBRARIES.items() if not is_there(name)}
 
 
-def search_by_library(task: Problem, method: str, max_evaluations: int, seed: int) -> tuple[float, int]:
+def search_by_library(
+    task: BenchmarkProblem, method: str, max_evaluations: int, seed: int
+) -> tuple[float, int]:
     """Minimise a function by an optimiser of a library.
 
     Parameters
@@ -63,7 +66,7 @@ class _SpentError(Exception):
 class _Counted:
     """A function that counts its calls and ends the search with the last of them."""
 
-    def __init__(self, function: Callable[[NDArray[np.float64]], float], limit: int) -> None:
+    def __init__(self, function: Callable[[NDArray[np.float64]], Any], limit: int) -> None:
         self.best = float("inf")
         self.n_evaluations = 0
         self._function, self._limit = function, limit
@@ -72,18 +75,18 @@ class _Counted:
         if self.n_evaluations == self._limit:
             raise _SpentError
         self.n_evaluations += 1
-        value = self._function(np.asarray(x, dtype=float))
+        value = float(self._function(np.asarray(x, dtype=float)))
         self.best = min(self.best, value)
         return value
 
 
-def _cma_es(function: _Counted, task: Problem, seed: int) -> None:
+def _cma_es(function: _Counted, task: BenchmarkProblem, seed: int) -> None:
     import cma
 
     rng = np.random.default_rng(seed)
-    high = task.half_range
+    low, high = task.bounds[0]
     options = {
-        "bounds": [-high, high],
+        "bounds": [low, high],
         "seed": seed + 1,  # 0 would take the clock
         "verbose": -9,
         "verb_log": 0,
@@ -95,22 +98,21 @@ def _cma_es(function: _Counted, task: Problem, seed: int) -> None:
         before = np.random.get_state()
         try:
             while True:  # until the calls are spent
-                start = rng.uniform(-high, high, task.dimension)
+                start = rng.uniform(low, high, task.dimension)
                 # Three tenths of the range, as the library's documentation advises.
-                cma.fmin2(function, start, 0.3 * 2 * high, options, restarts=9, bipop=False)
+                cma.fmin2(function, start, 0.3 * (high - low), options, restarts=9, bipop=False)
         finally:
             np.random.set_state(before)
 
 
-def _differential_evolution(function: _Counted, task: Problem, seed: int) -> None:
+def _differential_evolution(function: _Counted, task: BenchmarkProblem, seed: int) -> None:
     from scipy.optimize import differential_evolution
 
-    bounds = [(-task.half_range, task.half_range)] * task.dimension
     # A population of 30 like that of the others; the library's own is 15 for each coordinate, of which a
     # budget of a few thousand calls would see few generations.
-    half = task.half_range
-    start = np.random.default_rng(seed).uniform(-half, half, (30, task.dimension))
+    low, high = task.bounds.T
+    start = np.random.default_rng(seed).uniform(low, high, (30, task.dimension))
     # Without tolerances it runs until the calls are spent, or until all of its population is equally good.
     differential_evolution(
-        function, bounds, init=start, maxiter=10**9, tol=0.0, atol=0.0, polish=False, rng=seed
+        function, task.bounds, init=start, maxiter=10**9, tol=0.0, atol=0.0, polish=False, rng=seed
     )

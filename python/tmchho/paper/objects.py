@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-# As large as the real ones, in metres, and as densely scanned.
-_RADIUS = 0.06
+# Smaller than the real ones, in metres, so that a search takes seconds, and as densely scanned.
+_RADIUS = 0.02
 _SPACING = 0.001
 _NOISE = 0.0001
 _N_BUMPS = 40

@@ -7,7 +7,6 @@ from typing import Any
 from tmchho.paper import table3
 from tmchho.paper.methods import PAPER_METHODS, title
 from tmchho.paper.plan import Content, Run, Section
-from tmchho.paper.printed import printed_number, printed_row
 from tmchho.paper.statistics import holm, rank_sum_p, ranking
 from tmchho.paper.tables import Column, Table
 from tmchho.paper.words import how_searched, listing, p_text
@@ -21,9 +20,7 @@ def rank_rows(runs: list[Run]) -> list[dict[str, Any]]:
     ours: dict[Any, dict[str, float]] = {}
     theirs: dict[Any, dict[str, float]] = {}
     for (function, dimension, method), median in table3.medians(runs).items():
-        printed = printed_number(
-            printed_row(3, function=function, algorithm=method.upper(), dimension=dimension), "ave"
-        )
+        printed = table3.printed_average((function, dimension, method))
         ours.setdefault((function, dimension), {})[method] = median
         if printed is not None:
             theirs.setdefault((function, dimension), {})[method] = printed

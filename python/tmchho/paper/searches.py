@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import Any
 
+from tmchho.benchmarks import BenchmarkProblem
 from tmchho.errors import StoppedError
-from tmchho.optimize import MinimizeResult, minimize
+from tmchho.optimize import minimize
+from tmchho.optimizer import MinimizeResult
 from tmchho.paper.library import search_by_library
 from tmchho.paper.methods import LIBRARY_METHODS
 from tmchho.paper.plan import Job, Result, Settings, ShouldStop
-from tmchho.paper.problems import Problem, problem
+from tmchho.paper.problems import problem
 
 POPULATION = 30
 # Not stated in the paper; the iterations follow from its averages (docs/paper_map.md, reading 4).
@@ -88,18 +89,17 @@ def run_function_job(job: Job, should_stop: ShouldStop) -> Result:
 
 
 def _search(
-    task: Problem, job: Job, n_iterations: int, limit: int | None, should_stop: ShouldStop
+    task: BenchmarkProblem, job: Job, n_iterations: int, limit: int | None, should_stop: ShouldStop
 ) -> MinimizeResult:
-    options: dict[str, Any] = {"max_evaluations": limit} if limit is not None else {}
     found = minimize(
-        job["function"] if job["place"] == "origin" else task,
-        [(-task.half_range, task.half_range)] * task.dimension,
+        task,
         method=job["method"],
-        n_hawks=job["n_population"],
+        population_size=job["n_population"],
         n_iterations=n_iterations,
+        max_evaluations=limit,
         seed=job["seed"],
         callback=lambda _x, _value: should_stop(),
-        **options,
+        n_threads=1,
         **job["switches"],
     )
     if should_stop():

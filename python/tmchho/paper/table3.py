@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 
 from tmchho.paper.methods import PAPER_METHODS, title
 from tmchho.paper.plan import Content, Run, Section, Series
@@ -33,12 +33,19 @@ def by_cell(runs: list[Run]) -> dict[Cell, list[Run]]:
     return dict(cells)
 
 
-def medians(runs: list[Run]) -> dict[Cell, float]:
-    """Return the median value found in each cell."""
+def medians(runs: list[Run], statistic: str = "median") -> dict[Cell, float]:
+    """Return the median, or another statistic, of the values found in each cell."""
     return {
-        cell: summary([run.result["fun"] for run in of_cell])["median"]
+        cell: summary([run.result["fun"] for run in of_cell])[statistic]
         for cell, of_cell in by_cell(runs).items()
     }
+
+
+def printed_average(cell: Cell) -> float | None:
+    """Return what the paper prints as the average of a cell."""
+    function, dimension, method = cell
+    row = printed_row(3, function=function, algorithm=method.upper(), dimension=dimension)
+    return printed_number(row, "ave")
 
 
 def table(runs: list[Run]) -> Table:
@@ -89,24 +96,10 @@ def show(runs: list[Run]) -> Content:
 
 def _findings(runs: list[Run]) -> list[str]:
     cells = medians(runs)
-    printed = {
-        (f, d, m): printed_number(printed_row(3, function=f, algorithm=m.upper(), dimension=d), "ave")
-        for f, d, m in cells
-    }
-    found = []
-    near, far = 0, []
-    for cell, ours in cells.items():
-        theirs = printed[cell]
-        if theirs is None:
-            continue
-        if (ours == 0) == (theirs == 0) and (ours == 0 or abs(log10(ours) - log10(theirs)) <= _NEAR_DECADES):
-            near += 1
-        else:
-            far.append(f"{title(cell[2])} on {cell[0]} (D = {cell[1]})")
-    found.append(
-        f"In {near} of {near + len(far)} cells our median lies within {_NEAR_DECADES:g} powers of ten of the "
-        f"printed average{'; not so: ' + listing(far) if far else ''}."
-    )
+    found = [
+        _nearness("average", medians(runs, "ave")),
+        _nearness("median", cells),
+    ]
     problems = sorted({cell[:2] for cell in cells})
     zero = [
         f"{function}, D = {dimension}"
@@ -134,15 +127,26 @@ def _findings(runs: list[Run]) -> list[str]:
     return found
 
 
-def _printed_leader(place: tuple[str, int]) -> bool:
-    rows = {
-        method: printed_number(
-            printed_row(3, function=place[0], algorithm=method.upper(), dimension=place[1]), "ave"
-        )
-        for method in PAPER_METHODS
-    }
-    best = min(value for value in rows.values() if value is not None)
-    return rows["tmchho"] == best
+def _nearness(statistic: str, cells: dict[Cell, float]) -> str:
+    far = Counter(title(cell[2]) for cell, value in cells.items() if not _is_near(cell, value))
+    text = (
+        f"Our {statistic} lies within {_NEAR_DECADES:g} powers of ten of the printed average in "
+        f"{len(cells) - sum(far.values())} of {len(cells)} cells"
+    )
+    missed = listing([f"{method} in {n}" for method, n in far.items()])
+    return f"{text}; not so: {missed}." if far else f"{text}."
+
+
+def _is_near(cell: Cell, value: float) -> bool:
+    printed = printed_average(cell)
+    if printed is None or 0 in (value, printed):
+        return value == printed
+    return abs(log10(value) - log10(printed)) <= _NEAR_DECADES
+
+
+def _printed_leader(problem: tuple[str, int]) -> bool:
+    averages = {method: printed_average((*problem, method)) for method in PAPER_METHODS}
+    return averages["tmchho"] == min(value for value in averages.values() if value is not None)
 
 
 SECTION = Section("table3", "Table 3: six optimisers on seven functions", SERIES, show)
