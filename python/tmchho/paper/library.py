@@ -19,14 +19,16 @@ from numpy.typing import NDArray
 from tmchho.benchmarks import BenchmarkProblem
 from tmchho.paper.extras import is_there
 
-_LIBRARIES = {"cma_es": "cma", "de": "scipy"}
+_LIBRARIES = {"cma_es": ("cma", "threadpoolctl"), "de": ("scipy",)}
 # One search of `cma` at a time: it draws from numpy's global generator, so that two would mix their numbers.
 _GLOBAL_GENERATOR = Lock()
 
 
 def missing_libraries() -> dict[str, str]:
-    """Return the methods that cannot run here, with the library that each of them lacks."""
-    return {method: name for method, name in _LIBRARIES.items() if not is_there(name)}
+    """Return the methods that cannot run here, with a library that each of them lacks."""
+    return {
+        method: name for method, names in _LIBRARIES.items() for name in names if not is_there(name)
+    }
 
 
 def search_by_library(
@@ -82,6 +84,7 @@ class _Counted:
 
 def _cma_es(function: _Counted, task: BenchmarkProblem, seed: int) -> None:
     import cma
+    from threadpoolctl import threadpool_limits
 
     rng = np.random.default_rng(seed)
     low, high = task.bounds[0]
@@ -92,7 +95,8 @@ def _cma_es(function: _Counted, task: BenchmarkProblem, seed: int) -> None:
         "verb_log": 0,
         "maxfevals": np.inf,
     }
-    with _GLOBAL_GENERATOR, warnings.catch_warnings():
+    # One thread for the small matrices: more of them would only wait for each other.
+    with _GLOBAL_GENERATOR, threadpool_limits(1), warnings.catch_warnings():
         # It warns of flat functions and of its own numerics; the value found tells enough.
         warnings.simplefilter("ignore")
         before = np.random.get_state()
