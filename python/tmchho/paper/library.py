@@ -26,9 +26,7 @@ _GLOBAL_GENERATOR = Lock()
 
 def missing_libraries() -> dict[str, str]:
     """Return the methods that cannot run here, with a library that each of them lacks."""
-    return {
-        method: name for method, names in _LIBRARIES.items() for name in names if not is_there(name)
-    }
+    return {method: name for method, names in _LIBRARIES.items() for name in names if not is_there(name)}
 
 
 def search_by_library(
