@@ -272,8 +272,8 @@ def _show_distances(runs: list[Run]) -> Content:
         ),
         differences=(
             _NOT_THE_DAM,
-            "The paper aligns by TMCHHO and ICP; here robust mode does, because a single search finds "
-            "the right pose too seldom (page “Success rate”, Figure 14).",
+            "The paper aligns by TMCHHO and ICP. Here robust mode does, so that the areas are measured at a "
+            "checked pose; how often one search finds it is told by Figure 14 and the page of success rates.",
             "The paper does not say where its areas lie, in which direction distances were measured, or "
             "up to which distance. Here nothing is cut off, so that a hole of the photogrammetry makes a "
             "large worst value.",

@@ -133,10 +133,7 @@ def show(runs: list[Run]) -> Content:
         findings=tuple(_findings(runs)),
         differences=(
             *why_both_kinds(),
-            (
-                "A low RMS is not a right pose: with the centroids together, a wrong rotation has a low RMS, "
-                "too."
-            ),
+            "A low RMS need not be a right pose; the last finding counts wrong ones below the true one.",
         ),
     )
 
