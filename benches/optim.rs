@@ -4,29 +4,26 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 
 use tmchho::optim::chaos::ChaoticSequence;
-use tmchho::optim::{HawkOptions, Optimizer, test_functions};
+use tmchho::optim::{Method, Optimizer, Problem, SwarmOptions};
 
-/// Whole searches of 100 iterations by 30 hawks; throughput in calls of the objective.
+/// Whole searches of 100 iterations by 30 members; throughput in calls of the objective.
 fn searches(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("optim");
-    let rastrigin = test_functions::by_name("f5").expect("f5 is in Table 1");
-    for (name, options) in [
-        ("hho", HawkOptions::hho()),
-        ("tmchho", HawkOptions::tmchho()),
-    ] {
-        let options = HawkOptions {
-            n_iterations: 100,
-            ..options
+    for method in Method::ALL {
+        let options = SwarmOptions {
+            n_iterations: Some(100),
+            ..SwarmOptions::new(method)
         };
         for dimension in [6, 10, 50] {
-            let bounds = rastrigin.bounds(dimension).expect("a cube is a box");
+            let rastrigin = Problem::new("f5", dimension).expect("f5 is in Table 1");
+            let bounds = rastrigin.bounds().expect("a cube is a box");
             let search = || {
                 options
-                    .minimize(&rastrigin.evaluate, &bounds, black_box(1))
+                    .minimize(&rastrigin, &bounds, black_box(1))
                     .expect("the settings are in their ranges")
             };
             group.throughput(Throughput::Elements(search().n_evaluations as u64));
-            group.bench_function(format!("{name}/{dimension}"), |bencher| {
+            group.bench_function(format!("{}/{dimension}", method.name()), |bencher| {
                 bencher.iter(search);
             });
         }

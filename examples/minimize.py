@@ -1,4 +1,4 @@
-"""Minimise functions by hawks: where TMCHHO shines, and where it does not.
+"""Minimise functions by hawks and their rivals: where TMCHHO shines, and where it does not.
 
 Run it with `python examples/minimize.py`.
 """
@@ -7,21 +7,30 @@ import numpy as np
 
 import tmchho
 
-bounds = [(-5.12, 5.12)] * 10
-
-
-def rastrigin(x):
-    return float(np.sum(x**2 - 10 * np.cos(2 * np.pi * x) + 10))
-
-
-# The lowest point away from the origin, by another amount along each axis.
+# Rastrigin's function, and the same with its lowest point elsewhere, by another amount along each axis.
 shift = np.linspace(-3.1, 2.7, 10)
+at_origin = tmchho.BenchmarkProblem("f5", 10)
+elsewhere = tmchho.BenchmarkProblem("f5", 10, shift=shift)
 
-for method in ("hho", "tmchho"):
-    at_origin = tmchho.minimize(rastrigin, bounds, method=method, n_iterations=100, seed=1)
-    elsewhere = tmchho.minimize(
-        lambda x: rastrigin(x - shift), bounds, method=method, n_iterations=100, seed=1
-    )
-    print(
-        f"{method:7} {at_origin.nfev} calls; at the origin: {at_origin.fun:.1e}, shifted: {elsewhere.fun:.1f}"
-    )
+for method in ("hho", "tmchho", "tmchho_free", "pso"):
+    values = [
+        tmchho.minimize(problem, method=method, max_evaluations=4000, seed=1).fun
+        for problem in (at_origin, elsewhere)
+    ]
+    print(f"{method:12} at the origin: {values[0]:8.1e}, shifted: {values[1]:5.1f}")
+
+
+# A function of one's own, which takes many points at once.
+def valley(points):
+    x, y = points.T
+    return (1 - x) ** 2 + 100 * (y - x**2) ** 2
+
+
+found = tmchho.minimize(valley, [(-2, 2), (-1, 3)], method="tmchho_free", vectorized=True, seed=1)
+print(f"valley: {found.fun:.1e} at {found.x.round(2)} after {found.nfev} calls")
+
+# The same, evaluated elsewhere: a search asks for values and is told them.
+search = tmchho.Optimizer([(-2, 2), (-1, 3)], method="tmchho_free", seed=1)
+while not search.done:
+    search.tell(valley(search.ask()))
+assert search.result.fun == found.fun

@@ -67,6 +67,11 @@ pub(crate) fn sort_unstable<T: Ord + Send>(items: &mut [T]) {
     items.par_sort_unstable();
 }
 
+/// How many threads share the work at this place.
+pub(crate) fn n_threads() -> usize {
+    rayon::current_num_threads()
+}
+
 /// Runs `work` with `n_threads` threads; `None` takes the machine's (or `RAYON_NUM_THREADS`).
 ///
 /// # Errors
@@ -102,6 +107,11 @@ mod tests {
         };
         assert_eq!(sum(1).to_bits(), sum(2).to_bits());
         assert_eq!(sum(1).to_bits(), sum(4).to_bits());
+    }
+
+    #[test]
+    fn the_number_of_threads_is_the_one_asked_for() {
+        assert_eq!(with_threads(Some(3), || Ok(n_threads())), Ok(3));
     }
 
     #[test]

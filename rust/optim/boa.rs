@@ -98,6 +98,7 @@ impl Optimizer for BoaOptions {
     }
 }
 
+#[derive(Clone)]
 struct Butterflies {
     options: BoaOptions,
     bounds: Bounds,
@@ -112,6 +113,7 @@ struct Butterflies {
     next: Next,
 }
 
+#[derive(Clone, Copy)]
 enum Next {
     Start,
     Butterfly(usize),
@@ -198,6 +200,10 @@ impl Swarm for Butterflies {
 
     fn population(&self) -> (Vec<Vec<f64>>, Vec<f64>) {
         (self.places.clone(), self.fitness.clone())
+    }
+
+    fn fork(&self) -> Box<dyn Swarm> {
+        Box::new(self.clone())
     }
 }
 

@@ -137,6 +137,7 @@ impl Optimizer for DoaOptions {
     }
 }
 
+#[derive(Clone)]
 struct Pack {
     options: DoaOptions,
     bounds: Bounds,
@@ -152,6 +153,7 @@ struct Pack {
     next: Next,
 }
 
+#[derive(Clone, Copy)]
 enum Next {
     Start,
     Dingo(usize),
@@ -242,6 +244,10 @@ impl Swarm for Pack {
 
     fn population(&self) -> (Vec<Vec<f64>>, Vec<f64>) {
         (self.places.clone(), self.fitness.clone())
+    }
+
+    fn fork(&self) -> Box<dyn Swarm> {
+        Box::new(self.clone())
     }
 }
 

@@ -65,8 +65,8 @@ pub struct HawkOptions {
     pub trigonometric_mutation: bool,
     /// Which hawks are mutated.
     pub mutation_reading: MutationReading,
-    /// Apply the rules in coordinates whose origin is the prey: no place is favoured. Not in the
-    /// paper.
+    /// Apply the rules in coordinates whose origin is the prey: no place is favoured, and J, which
+    /// multiplies the place of the prey, has no effect. Not in the paper.
     pub translation_invariant: bool,
     /// Seconds after which the search ends; ≥ 0, `None` for no limit. No key of a configuration,
     /// because a search that ends by the clock cannot be repeated.

@@ -394,6 +394,10 @@ impl Swarm for Hunt {
             .collect();
         (hawks, fitness)
     }
+
+    fn fork(&self) -> Box<dyn Swarm> {
+        Box::new(self.clone())
+    }
 }
 
 #[cfg(test)]

@@ -113,6 +113,7 @@ impl Optimizer for PsoOptions {
     }
 }
 
+#[derive(Clone)]
 struct Flock {
     options: PsoOptions,
     bounds: Bounds,
@@ -192,6 +193,10 @@ impl Swarm for Flock {
 
     fn population(&self) -> (Vec<Vec<f64>>, Vec<f64>) {
         (self.places.clone(), self.fitness.clone())
+    }
+
+    fn fork(&self) -> Box<dyn Swarm> {
+        Box::new(self.clone())
     }
 }
 

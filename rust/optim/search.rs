@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 use crate::error::{Error, Result};
 
 use super::budget::Budget;
-use super::{IterationListener, IterationReport, Minimum, Objective, StopReason, evaluator};
+use super::evaluator::Evaluator;
+use super::{IterationListener, IterationReport, Minimum, Objective, StopReason};
 
 /// What a method wants next.
 pub(super) enum Wish {
@@ -35,6 +36,9 @@ pub(super) trait Swarm: Send + Sync {
 
     /// The population, inside the box, and the values as far as they are known.
     fn population(&self) -> (Vec<Vec<f64>>, Vec<f64>);
+
+    /// A copy that goes its own way.
+    fn fork(&self) -> Box<dyn Swarm>;
 }
 
 /// A search that is under way; [`Optimizer::search`](super::Optimizer::search) begins one.
@@ -173,11 +177,26 @@ impl Search {
         objective: &dyn Objective,
         on_iteration: &mut IterationListener<'_>,
     ) -> Result<()> {
+        let mut evaluator = Evaluator::new(objective);
         while !self.is_over() {
-            let values = evaluator::values(objective, &self.asked, self.limit);
-            self.tell_and_hear(&values, on_iteration)?;
+            self.tell_and_hear(evaluator.values(self), on_iteration)?;
         }
         Ok(())
+    }
+
+    /// Values that are not below this may be replaced by any number that is not.
+    pub(super) fn limit(&self) -> f64 {
+        self.limit
+    }
+
+    /// A copy that goes its own way.
+    pub(super) fn fork(&self) -> Self {
+        Self {
+            swarm: self.swarm.fork(),
+            asked: self.asked.clone(),
+            history: self.history.clone(),
+            ..*self
+        }
     }
 
     /// Goes on until values are wanted that may be asked for, or the search is over.

@@ -5,7 +5,7 @@
 //! Harris hawks are drawn to the origin by their rules (see [`HawkOptions`](super::HawkOptions)),
 //! so that these functions flatter them.
 
-use std::f64::consts::{E, TAU};
+use std::f64::consts::E;
 
 use crate::error::{Error, Result};
 
@@ -105,15 +105,13 @@ fn f4(x: &[f64]) -> f64 {
 }
 
 fn f5(x: &[f64]) -> f64 {
-    x.iter()
-        .map(|x| x * x - 10.0 * (TAU * x).cos() + 10.0)
-        .sum()
+    sum_of(x, |x| x * x - 10.0 * cos_of_turns(x) + 10.0)
 }
 
 fn f6(x: &[f64]) -> f64 {
     let n = x.len() as f64;
     let mean_square = x.iter().map(|x| x * x).sum::<f64>() / n;
-    let mean_cosine = x.iter().map(|x| (TAU * x).cos()).sum::<f64>() / n;
+    let mean_cosine = sum_of(x, cos_of_turns) / n;
     -20.0 * (-0.2 * mean_square.sqrt()).exp() - mean_cosine.exp() + 20.0 + E
 }
 
@@ -123,6 +121,64 @@ fn f7(x: &[f64]) -> f64 {
         .map(|(x, i)| (x / f64::from(i).sqrt()).cos())
         .product();
     sum / 4000.0 - product + 1.0
+}
+
+/// The sum over all coordinates, from the first to the last. The terms are computed before they are
+/// added, because a loop that does both one after the other is not turned into vector instructions.
+fn sum_of(x: &[f64], term: impl Fn(f64) -> f64) -> f64 {
+    let mut sum = 0.0;
+    let mut terms = [0.0; 32];
+    for block in x.chunks(terms.len()) {
+        for (value, x) in terms.iter_mut().zip(block) {
+            *value = term(*x);
+        }
+        for value in &terms[..block.len()] {
+            sum += value;
+        }
+    }
+    sum
+}
+
+/// cos(2π x), within 5e-16.
+///
+/// Why: the cosine of the standard library takes most of the time of f5. This one has no branches, so
+/// that several are computed at once, and multiplies by 2π only after whole turns are gone.
+/// Source: the series of the cosine up to the 20th power, of an angle within a quarter turn.
+fn cos_of_turns(x: f64) -> f64 {
+    /// (−1)^k (2π)^(2k) / (2k)! for k from 10 down to 1.
+    const SERIES: [f64; 10] = [
+        0.0037798342006800396,
+        -0.03638284114254567,
+        0.28200596845579123,
+        -1.714390711088672,
+        7.903536371318469,
+        -26.4262567833744,
+        60.24464137187666,
+        -85.45681720669373,
+        64.9393940226683,
+        -19.739208802178716,
+    ];
+    /// 1.5 · 2⁵²: a number to which it was added is a whole one when it is taken off again.
+    const ROUND: f64 = 6_755_399_441_055_744.0;
+    let turns = (x + ROUND) - ROUND;
+    // Numbers so large are whole.
+    let part = if x.abs() > 1e15 {
+        0.0
+    } else {
+        (x - turns).abs()
+    };
+    // cos(π - α) = -cos(α)
+    let (sign, part) = if part > 0.25 {
+        (-1.0, 0.5 - part)
+    } else {
+        (1.0, part)
+    };
+    let square = part * part;
+    let mut series = SERIES[0];
+    for coefficient in &SERIES[1..] {
+        series = series * square + coefficient;
+    }
+    sign * (1.0 + series * square)
 }
 
 #[cfg(test)]
@@ -162,6 +218,26 @@ mod tests {
                 assert_eq!(f.bounds(dimension).unwrap().dimension(), dimension);
             }
         }
+    }
+
+    #[test]
+    fn the_cosine_is_that_of_the_standard_library() {
+        for i in -40_000..=40_000 {
+            let x = f64::from(i) * 0.000_987;
+            let expected = (std::f64::consts::TAU * (x - x.round())).cos();
+            let found = cos_of_turns(x);
+            assert!((found - expected).abs() < 5e-16, "{x}: {found} {expected}");
+        }
+        for (x, expected) in [
+            (0.0, 1.0),
+            (1e-9, 1.0),
+            (0.5, -1.0),
+            (-3.0, 1.0),
+            (1e300, 1.0),
+        ] {
+            assert_eq!(cos_of_turns(x), expected);
+        }
+        assert!(cos_of_turns(f64::NAN).is_nan());
     }
 
     #[test]

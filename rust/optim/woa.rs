@@ -80,6 +80,7 @@ impl Optimizer for WoaOptions {
     }
 }
 
+#[derive(Clone)]
 struct Pod {
     options: WoaOptions,
     bounds: Bounds,
@@ -155,6 +156,10 @@ impl Swarm for Pod {
 
     fn population(&self) -> (Vec<Vec<f64>>, Vec<f64>) {
         (self.whales.clone(), self.fitness.clone())
+    }
+
+    fn fork(&self) -> Box<dyn Swarm> {
+        Box::new(self.clone())
     }
 }
 

@@ -1,10 +1,10 @@
-"""The search by hawks from Python: the same as in Rust, stoppable, and honest about what it was given."""
+"""The searches from Python: the same as in Rust, stoppable, and honest about what they were given."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from scipy import optimize, stats
 
 import tmchho
 from tmchho import errors
+from tmchho.config import Method
 
 FUNCTIONS: dict[str, Callable[[Any], float]] = {
     "f1": lambda x: (x**2).sum(),
@@ -25,6 +26,7 @@ FUNCTIONS: dict[str, Callable[[Any], float]] = {
     "f7": lambda x: (x**2).sum() / 4000 - np.cos(x / np.sqrt(np.arange(1, len(x) + 1))).prod() + 1,
 }
 BOX = [(-5.0, 10.0)] * 4
+METHODS = get_args(Method)
 
 
 def bowl(x: Any) -> float:
@@ -47,7 +49,7 @@ def test_the_seven_functions_are_those_of_table_1() -> None:
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-@pytest.mark.parametrize("method", ["tmchho", "hho"])
+@pytest.mark.parametrize("method", METHODS)
 def test_a_callable_is_searched_exactly_as_the_built_in(name: str, method: Any) -> None:
     half = next(function.range for function in tmchho.benchmark_functions() if function.name == name)
     settings: dict[str, Any] = {"method": method, "population_size": 8, "n_iterations": 12, "seed": 6}
@@ -55,6 +57,10 @@ def test_a_callable_is_searched_exactly_as_the_built_in(name: str, method: Any) 
     called = tmchho.minimize(lambda x: tmchho.benchmark_value(name, x), [(-half, half)] * 5, **settings)
     np.testing.assert_array_equal(called.x, built_in.x)
     np.testing.assert_array_equal(called.history, built_in.history)
+    many = tmchho.minimize(
+        tmchho.BenchmarkProblem(name, 5).__call__, [(-half, half)] * 5, vectorized=True, **settings
+    )
+    np.testing.assert_array_equal(many.history, built_in.history)
     assert (called.nfev, called.nit, called.status) == (built_in.nfev, built_in.nit, built_in.status)
 
 

@@ -91,9 +91,8 @@ def _show_budgets(runs: list[Run]) -> Content:
         tables=(_table("budgets", runs),),
         findings=(_order("origin", runs), _against(runs, "tmchho", "hho")),
         differences=(
-            "The paper gives all methods the same iterations. In one iteration some of them call the "
-            "function twice for each of the population (see the evaluations of Table 3), which is not "
-            "said.",
+            "The paper gives all methods the same iterations. Iterations are not calls: how many of these "
+            "each method makes then is in the last column but one of Table 3.",
         ),
     )
 
