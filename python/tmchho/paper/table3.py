@@ -77,9 +77,9 @@ def show(runs: list[Run]) -> Content:
         findings=tuple(_findings(runs)),
         differences=(
             "Population, iterations and runs of this table are not printed. Runs: for PSO on f1 with D = 10 "
-            "the printed worst value is 30 times the printed average, so one run of 30 made the average, and the "
-            "printed Std is that of a sample. Population: 30, as in Section 5.2. Iterations: 100, which came "
-            "closest to the printed values; the 500 of Section 5.2 go tens of powers of ten below them "
+            "the printed worst value is 30 times the printed average, so one run of 30 made the average, and "
+            "the printed Std is that of a sample. Population: 30, as in Section 5.2. Iterations: 100, which "
+            "came closest to the printed values; the 500 of Section 5.2 go tens of powers of ten below them "
             "(docs/paper_map.md, reading 4; try it by --iterations).",
             "Values spread over many powers of ten, so that a single run decides an average. The median is "
             "shown beside it, and is what the comparisons below rest on.",
