@@ -70,6 +70,9 @@ def paper(
     all that was asked for. Finished runs are kept there in runs.jsonl: an interrupted command goes on where
     it was, and more --runs are added to those that are there. Results of an earlier call are replaced.
 
+    On two idle cores `all` takes about half an hour, nearly all of it registrations; with --runs 20, the
+    number of the paper's Section 5.2, about four hours. The functions alone take seconds.
+
     Real scans are read from the folder that TMCHHO_DATA names (stanford/pairs.json and what it lists);
     where it is not set, simulated objects stand in for them. Needs the extra: pip install 'tmchho[paper]'.
     """

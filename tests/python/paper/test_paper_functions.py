@@ -105,6 +105,9 @@ def test_ranks_and_tests_are_those_of_scipy(tmp_path: Path) -> None:
     medians = np.array([[np.median(values[(*p, m)]) for m in methods] for p in problems])
     ranks = scipy.stats.rankdata(medians, axis=1).mean(axis=0)
     rows = {row["algorithm"]: row for row in rows_of(tmp_path / "ranks.csv")}
+    averages = np.array([[np.mean(values[(*p, m)]) for m in methods] for p in problems])
+    ranks_by_averages = scipy.stats.rankdata(averages, axis=1).mean(axis=0)
+    assert [float(rows[m.upper()]["rank_by_averages"]) for m in methods] == pytest.approx(ranks_by_averages)
     assert [float(rows[m.upper()]["rank"]) for m in methods] == pytest.approx(ranks)
     statistic, p = scipy.stats.friedmanchisquare(*medians.T)
     assert float(rows["Friedman's χ²"]["rank"]) == pytest.approx(statistic)
