@@ -20,7 +20,11 @@ def rank_rows(runs: list[Run]) -> list[dict[str, Any]]:
     """Return the mean rank of each method by printed averages, by ours, and by our medians, and the tests."""
     medians, averages = table3.medians(runs), table3.medians(runs, "ave")
     printed = {cell: table3.printed_average(cell) for cell in medians}
-    by = {"printed_rank": printed, "rank_by_averages": averages, "rank": medians}
+    by: dict[str, Mapping[table3.Cell, float | None]] = {
+        "printed_rank": printed,
+        "rank_by_averages": averages,
+        "rank": medians,
+    }
     rankings = {name: ranking(_by_problem(scores)) for name, scores in by.items()}
     rows: list[dict[str, Any]] = [
         {"algorithm": title(m), **{name: found.mean_ranks[m] for name, found in rankings.items()}}
@@ -107,11 +111,8 @@ def show(runs: list[Run]) -> Content:
 
 def _findings(ranks: list[dict[str, Any]], tests: list[dict[str, Any]]) -> list[str]:
     order = sorted(ranks[: len(PAPER_METHODS)], key=lambda row: float(row["rank"]))
-    found = [
-        "By mean rank of our medians: "
-        + listing([f"{row['algorithm']} ({row['rank']:.2f})" for row in order])
-    ]
-    found[0] += f"; Friedman's test has {p_text(ranks[-1]['rank'])}."
+    ordered = listing([f"{row['algorithm']} ({row['rank']:.2f})" for row in order])
+    found = [f"By mean rank of our medians: {ordered}; Friedman's test has {p_text(ranks[-1]['rank'])}."]
     for rival in map(title, _RIVALS):
         real = [row for row in tests if row["rival"] == rival and row["p_holm"] < SIGNIFICANT]
         n_all = sum(row["rival"] == rival for row in tests)

@@ -123,9 +123,9 @@ def _findings(runs: list[Run]) -> list[str]:
     averages = medians(runs, "ave")
     printed = {cell: value for cell in cells if (value := printed_average(cell)) is not None}
     found.append(
-        f"Of {len(problems)} functions and dimensions TMCHHO is the lowest of the six, alone or with others, on "
-        f"{_n_led(cells)} by our medians, on {_n_led(averages)} by our averages, and on {_n_led(printed)} by the "
-        "printed averages."
+        f"Of {len(problems)} functions and dimensions TMCHHO is the lowest of the six, alone or with others, "
+        f"on {_n_led(cells)} by our medians, on {_n_led(averages)} by our averages, and on {_n_led(printed)} "
+        "by the printed averages."
     )
     return found
 
