@@ -70,8 +70,8 @@ def _how(runs: list[Run]) -> tuple[str, ...]:
     seeds = sorted({run.job["seed"] for run in runs})
     return (
         f"{len(seeds)} runs each (seeds {span(seeds, 'd')}), at most {MAX_EVALUATIONS:,} calls of the "
-        "function in each. The iterations of each swarm are as many as that budget lasts for, told by a "
-        "first search of the usual length that does not count.",
+        "function in each. Every swarm has as many iterations as fit into that, found by trial; none is cut "
+        "off, because hawks plan ahead for all their iterations.",
         evaluations_by_method(runs),
     )
 

@@ -168,8 +168,8 @@ def test_no_method_exceeds_an_equal_budget() -> None:
         result = series.run(job, lambda: False)
         assert result["n_evaluations"] <= budgets.MAX_EVALUATIONS
         counts.setdefault(job["method"], []).append(result["n_evaluations"])
-    # The iterations are made to fit: no method leaves a fifth of its calls unused.
-    assert {method: min(n) > 0.8 * budgets.MAX_EVALUATIONS for method, n in counts.items()} == dict.fromkeys(
+    # The iterations are made to fit: no method leaves a quarter of its calls unused.
+    assert {method: min(n) > 0.75 * budgets.MAX_EVALUATIONS for method, n in counts.items()} == dict.fromkeys(
         budgets.SWARMS, True
     )
 
