@@ -6,7 +6,7 @@ from typing import Any
 
 from tmchho.paper.plan import Content, Job, Run, Section, Series, Settings
 from tmchho.paper.problems import FUNCTIONS
-from tmchho.paper.searches import function_jobs, run_function_job
+from tmchho.paper.searches import ITERATIONS, function_jobs, run_function_job
 from tmchho.paper.statistics import log10, rank_sum_p, summary
 from tmchho.paper.tables import Column, Table
 from tmchho.paper.words import how_searched, listing, span
@@ -70,7 +70,7 @@ def show(runs: list[Run]) -> Content:
     columns += [Column("runs", "runs")]
     return Content(
         how=(
-            how_searched(runs),
+            how_searched(runs, ITERATIONS),
             "Shifted: the minimum lies anywhere within 0.8 of the range, elsewhere in each run. "
             "Wilcoxon's rank-sum test, two-sided, not corrected.",
         ),

@@ -15,7 +15,7 @@ from tmchho.paper.problems import FUNCTIONS, PLACES
 from tmchho.paper.searches import function_jobs, run_function_job
 from tmchho.paper.statistics import log10, rank_sum_p, ranking, summary
 from tmchho.paper.tables import Column, Table
-from tmchho.paper.words import evaluations_by_method, listing, p_text, span
+from tmchho.paper.words import evaluations_by_method, listing, p_text, runs_and_seeds, span
 
 MAX_EVALUATIONS = 3000
 SWARMS = (*PAPER_METHODS, OURS)
@@ -69,7 +69,7 @@ def _table(name: str, runs: list[Run]) -> Table:
 def _how(runs: list[Run]) -> tuple[str, ...]:
     seeds = sorted({run.job["seed"] for run in runs})
     return (
-        f"{len(seeds)} runs each (seeds {span(seeds, 'd')}), at most {MAX_EVALUATIONS:,} calls of the "
+        f"{runs_and_seeds(seeds)}, at most {MAX_EVALUATIONS:,} calls of the "
         "function in each. Every swarm has as many iterations as fit into that, found by trial; none is cut "
         "off, because hawks plan ahead for all their iterations.",
         evaluations_by_method(runs),

@@ -11,6 +11,7 @@ from tmchho.paper.methods import PAPER_METHODS, title
 from tmchho.paper.pictures import COLOURS, draw
 from tmchho.paper.plan import Content, Run, Section
 from tmchho.paper.printed import printed_number, printed_row
+from tmchho.paper.registrations import ITERATIONS
 from tmchho.paper.statistics import summary
 from tmchho.paper.table4 import chosen, is_right
 from tmchho.paper.tables import Column, Table
@@ -141,7 +142,8 @@ def _show_searches(runs: list[Run]) -> Content:
     return Content(
         how=(
             _how(runs),
-            how_searched(runs) + " Each run moves the piece of the photogrammetry anew, at random.",
+            how_searched(runs, ITERATIONS)
+            + " Each run moves the piece of the photogrammetry anew, at random.",
             evaluations_by_method(runs),
         ),
         tables=(

@@ -10,6 +10,7 @@ from tmchho.paper import table3
 from tmchho.paper.methods import PAPER_METHODS, title
 from tmchho.paper.pictures import COLOURS, draw
 from tmchho.paper.plan import Content, Run, Section
+from tmchho.paper.searches import ITERATIONS
 from tmchho.paper.tables import Column, Table
 from tmchho.paper.words import how_searched, listing
 
@@ -56,7 +57,7 @@ def show(runs: list[Run]) -> Content:
     ]
     names = ("function", "dimension", "algorithm", "iteration", "median")
     return Content(
-        how=(how_searched(runs),),
+        how=(how_searched(runs, ITERATIONS),),
         pictures=(
             draw(
                 "figure6",

@@ -8,6 +8,7 @@ from typing import Any
 from tmchho.paper import table3
 from tmchho.paper.methods import PAPER_METHODS, title
 from tmchho.paper.plan import Content, Run, Section
+from tmchho.paper.searches import ITERATIONS
 from tmchho.paper.statistics import holm, rank_sum_p, ranking
 from tmchho.paper.tables import Column, Table
 from tmchho.paper.words import how_searched, listing, p_text
@@ -83,7 +84,7 @@ def show(runs: list[Run]) -> Content:
     ]
     return Content(
         how=(
-            how_searched(runs),
+            how_searched(runs, ITERATIONS),
             "Ranks: 1 is best, ties share theirs. Tests: "
             "Wilcoxon's rank-sum test, two-sided, corrected after Holm for the functions of each rival; "
             f"below {SIGNIFICANT:g} a difference counts.",

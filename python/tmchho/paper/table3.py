@@ -8,7 +8,7 @@ from tmchho.paper.methods import PAPER_METHODS, title
 from tmchho.paper.plan import Content, Run, Section, Series
 from tmchho.paper.printed import printed_number, printed_row
 from tmchho.paper.problems import FUNCTIONS
-from tmchho.paper.searches import function_jobs, run_function_job
+from tmchho.paper.searches import ITERATIONS, function_jobs, run_function_job
 from tmchho.paper.statistics import STATISTICS, log10, summary
 from tmchho.paper.tables import Column, Table
 from tmchho.paper.words import evaluations_by_method, how_searched, listing
@@ -72,7 +72,7 @@ def table(runs: list[Run]) -> Table:
 def show(runs: list[Run]) -> Content:
     """Make the section of Table 3."""
     return Content(
-        how=(how_searched(runs), evaluations_by_method(runs)),
+        how=(how_searched(runs, ITERATIONS), evaluations_by_method(runs)),
         tables=(table(runs),),
         findings=tuple(_findings(runs)),
         differences=(

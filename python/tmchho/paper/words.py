@@ -37,14 +37,29 @@ def values_of(runs: list[Run], key: str) -> list[object]:
     return list(dict.fromkeys(run.job[key] for run in runs))
 
 
-def how_searched(runs: list[Run]) -> str:
-    """Return how many runs there are, from which seeds, how large and how long."""
+def how_searched(runs: list[Run], usual_iterations: int) -> str:
+    """Return how many runs there are, from which seeds, how large and how long.
+
+    Searches that do not have the usual iterations are not to be compared with the paper, which is said.
+    """
     seeds = sorted({run.job["seed"] for run in runs})
     population, iterations = (values_of(runs, key)[0] for key in ("n_population", "n_iterations"))
-    return (
-        f"{len(seeds)} {'run' if len(seeds) == 1 else 'runs'} each (seeds {span(seeds, 'd')}), "
-        f"population {population}, {iterations} iterations."
-    )
+    text = f"{runs_and_seeds(seeds)}, population {population}, {iterations} iterations."
+    if iterations != usual_iterations:
+        text += f" NOT COMPARABLE with the printed values, which stand for {usual_iterations} iterations."
+    return text
+
+
+def runs_and_seeds(seeds: Sequence[int]) -> str:
+    """Return how many runs there are of each search, and from which seeds.
+
+    Examples
+    --------
+    >>> runs_and_seeds([0, 1, 2]), runs_and_seeds([7])
+    ('3 runs each (seeds 0 to 2)', '1 run each (seed 7)')
+    """
+    plural = "s" if len(seeds) > 1 else ""
+    return f"{len(seeds)} run{plural} each (seed{plural} {span(seeds, 'd')})"
 
 
 def evaluations_by_method(runs: list[Run]) -> str:
