@@ -84,7 +84,7 @@ def minimize(
         all for 'pso' and 'woa', often one for the others, whose members move one after another.
     n_threads : int, optional
         Threads that share a built-in function where it is dear; all cores where not given. Never changes the
-        result.
+        result. They look ahead; what they evaluate in vain is not in `nfev`.
     levy_factor, mutation_variance : float, optional
         Factor of the Lévy flight and variance of the mutation's factor o, at least 0 (hawks only).
     chaotic_start, trigonometric_mutation : bool, optional

@@ -150,10 +150,12 @@ impl Swarm for Butterflies {
             Next::Start => Wish::Values {
                 points: self.places.clone(),
                 limit: f64::INFINITY,
+                rival: f64::INFINITY,
             },
             Next::Butterfly(i) => Wish::Values {
                 points: vec![self.trial(i)],
                 limit: f64::INFINITY,
+                rival: f64::INFINITY,
             },
             Next::End => {
                 self.next = Next::Butterfly(0);

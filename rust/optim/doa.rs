@@ -195,10 +195,12 @@ impl Swarm for Pack {
             Next::Start => Wish::Values {
                 points: self.places.clone(),
                 limit: f64::INFINITY,
+                rival: f64::INFINITY,
             },
             Next::Dingo(i) => Wish::Values {
                 points: vec![self.trial(i)],
                 limit: f64::INFINITY,
+                rival: f64::INFINITY,
             },
             Next::End => {
                 self.survival = survival(&self.fitness, self.best_fitness);

@@ -2,9 +2,9 @@
 //!
 //! Why: a whole population is shared by all threads at once. But hawks move one after another, and a
 //! search that wants a single value leaves all threads but one idle. Where the objective is dear, the
-//! others therefore look ahead: a copy of the search is told that the point is no better, and what it
-//! asks next is evaluated, too. If it was right, the next value is there when it is wanted; if not, it
-//! is thrown away. The search itself sees the same values in the same order.
+//! others therefore look ahead: a copy of the search is told what became of most points lately, better
+//! or not, and what it asks next is evaluated, too. If that was right, the next value is there when it
+//! is wanted; if not, it is thrown away. The search itself sees the same values in the same order.
 //! To know: values thrown away are not counted as evaluations of the search, because they depend on
 //! the machine. With one thread there are none.
 
@@ -33,6 +33,42 @@ pub(super) struct Evaluator<'a> {
     n_calls: usize,
     /// How many calls on end were worth sharing.
     n_dear: usize,
+    habits: Habits,
+}
+
+/// The share of points that were better lately: of those a member goes to in any case, and of those
+/// it only goes to if they are better.
+#[derive(Debug, Clone, Copy, Default)]
+struct Habits {
+    of_moves: f64,
+    of_trials: f64,
+}
+
+impl Habits {
+    fn of(&mut self, limit: f64) -> &mut f64 {
+        if limit == f64::INFINITY {
+            &mut self.of_moves
+        } else {
+            &mut self.of_trials
+        }
+    }
+
+    /// Takes in whether the value was better than that of its rival, if it has one.
+    fn learn(&mut self, value: f64, limit: f64, rival: f64) {
+        if rival < f64::INFINITY {
+            let habit = self.of(limit);
+            *habit += 0.1 * (f64::from(u8::from(value < rival)) - *habit);
+        }
+    }
+
+    /// A value that is better, or not, as most were.
+    fn guess(&mut self, limit: f64) -> f64 {
+        if *self.of(limit) > 0.5 {
+            f64::NEG_INFINITY
+        } else {
+            f64::INFINITY
+        }
+    }
 }
 
 struct Foreseen {
@@ -49,6 +85,7 @@ impl<'a> Evaluator<'a> {
             foreseen: Vec::new(),
             n_calls: 0,
             n_dear: 0,
+            habits: Habits::default(),
         }
     }
 
@@ -82,6 +119,7 @@ impl<'a> Evaluator<'a> {
             } = self.foreseen.remove(0);
             let same = |(a, b): (&f64, &f64)| a.to_bits() == b.to_bits();
             if foreseen.iter().zip(point).all(same) && same((&foreseen_limit, &limit)) {
+                self.habits.learn(value, limit, search.rival());
                 return value;
             }
             self.foreseen.clear();
@@ -98,7 +136,7 @@ impl<'a> Evaluator<'a> {
         if n_threads == 1 {
             return value_at(self.objective, point, limit);
         }
-        let ahead = look_ahead(search, n_threads);
+        let ahead = look_ahead(search, n_threads, self.habits);
         let values = parallel::map(ahead.len(), |i| {
             value_at(self.objective, &ahead[i].point, ahead[i].limit)
         });
@@ -106,7 +144,9 @@ impl<'a> Evaluator<'a> {
         for (foreseen, value) in self.foreseen.iter_mut().zip(values) {
             foreseen.value = value;
         }
-        self.foreseen.remove(0).value
+        let value = self.foreseen.remove(0).value;
+        self.habits.learn(value, limit, search.rival());
+        value
     }
 
     fn timed(&mut self, point: &[f64], limit: f64) -> (f64, Duration) {
@@ -130,9 +170,9 @@ fn value_at(objective: &dyn Objective, x: &[f64], limit: f64) -> f64 {
     }
 }
 
-/// The single point that `search` asks for, and those that it would ask for next if no point were
-/// better than its limit; `n` at most. Their values are still to be found.
-fn look_ahead(search: &Search, n: usize) -> Vec<Foreseen> {
+/// The single point that `search` asks for, and those that it would ask for next if all points were
+/// what they have been by habit; `n` at most. Their values are still to be found.
+fn look_ahead(search: &Search, n: usize, mut habits: Habits) -> Vec<Foreseen> {
     let mut fork = search.fork();
     let mut ahead: Vec<Foreseen> = Vec::with_capacity(n);
     while let [point] = fork.ask()
@@ -144,7 +184,7 @@ fn look_ahead(search: &Search, n: usize) -> Vec<Foreseen> {
             limit,
             value: f64::NAN,
         });
-        if fork.tell(&[limit]).is_err() {
+        if fork.tell(&[habits.guess(limit)]).is_err() {
             break;
         }
     }
@@ -181,17 +221,41 @@ mod tests {
     }
 
     #[test]
-    fn what_is_foreseen_is_what_is_asked_where_no_point_is_better() {
+    fn what_is_foreseen_is_what_is_asked_where_the_guess_is_right() {
         let bounds = Bounds::cube(2, -1.0, 1.0).unwrap();
         let options = SwarmOptions::new(Method::Tmchho);
-        let mut search = options.search(&bounds, 5, &[]).unwrap();
-        search.tell(&[1.0; 30]).unwrap();
-        let ahead = look_ahead(&search, 4);
-        assert_eq!(ahead.len(), 4);
-        for foreseen in ahead {
-            assert_eq!(search.ask(), [foreseen.point]);
-            assert_eq!(search.limit(), foreseen.limit);
-            search.tell(&[foreseen.limit]).unwrap();
+        for share in [0.0, 1.0] {
+            let mut habits = Habits {
+                of_moves: share,
+                of_trials: share,
+            };
+            let mut search = options.search(&bounds, 5, &[]).unwrap();
+            search.tell(&[1.0; 30]).unwrap();
+            let ahead = look_ahead(&search, 4, habits);
+            assert_eq!(ahead.len(), 4);
+            for foreseen in ahead {
+                assert_eq!(search.ask(), [foreseen.point]);
+                assert_eq!(search.limit(), foreseen.limit);
+                search.tell(&[habits.guess(foreseen.limit)]).unwrap();
+            }
         }
+    }
+
+    #[test]
+    fn habits_follow_what_happens() {
+        let mut habits = Habits::default();
+        let infinite = f64::INFINITY;
+        assert_eq!(habits.guess(1.0), infinite);
+        for _ in 0..10 {
+            habits.learn(0.5, 1.0, 1.0);
+            habits.learn(2.0, infinite, 1.0);
+            habits.learn(2.0, infinite, infinite);
+        }
+        assert_eq!(habits.guess(1.0), -infinite);
+        assert_eq!(habits.guess(infinite), infinite);
+        for _ in 0..10 {
+            habits.learn(1.0, 1.0, 1.0);
+        }
+        assert_eq!(habits.guess(1.0), infinite);
     }
 }

@@ -101,6 +101,7 @@ impl Hunt {
         (!points.is_empty()).then_some(Wish::Values {
             points,
             limit: f64::INFINITY,
+            rival: f64::INFINITY,
         })
     }
 
@@ -288,6 +289,7 @@ impl Hunt {
         Some(Wish::Values {
             points: vec![self.hawks[i].clone()],
             limit: f64::INFINITY,
+            rival: attack.map_or(f64::INFINITY, |attack| attack.fitness_before),
         })
     }
 
@@ -296,6 +298,7 @@ impl Hunt {
         Wish::Values {
             points: vec![position],
             limit,
+            rival: limit,
         }
     }
 
@@ -461,7 +464,7 @@ mod tests {
             first: first.clone(),
         };
         hunt.tell(vec![first], &[1.0]);
-        let Wish::Values { points, limit } = hunt.wish() else {
+        let Wish::Values { points, limit, .. } = hunt.wish() else {
             panic!("the second trial point is tried as well");
         };
         assert_eq!(limit, 1.0);

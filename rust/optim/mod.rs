@@ -165,7 +165,9 @@ pub struct Minimum {
     pub x: Vec<f64>,
     /// Its value; +∞ where the objective never gave a number.
     pub fun: f64,
-    /// Calls of the objective, abandoned ones included.
+    /// Values the search asked for, abandoned ones included. Where the objective is dear and there are
+    /// several threads, they look ahead, and may call it at points that are then not asked for: those
+    /// calls depend on the machine and are not counted.
     pub n_evaluations: usize,
     /// Iterations done: how often the best point was brought up to date.
     pub n_iterations: usize,

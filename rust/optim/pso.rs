@@ -168,6 +168,7 @@ impl Swarm for Flock {
         Wish::Values {
             points: self.places.clone(),
             limit: f64::INFINITY,
+            rival: f64::INFINITY,
         }
     }
 

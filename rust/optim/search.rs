@@ -16,8 +16,13 @@ use super::{IterationListener, IterationReport, Minimum, Objective, StopReason};
 /// What a method wants next.
 pub(super) enum Wish {
     /// The values at these points, which are inside the box. Values that are not below `limit` may
-    /// be replaced by any number that is not.
-    Values { points: Vec<Vec<f64>>, limit: f64 },
+    /// be replaced by any number that is not. What comes next depends on whether a single value is
+    /// below `rival`, or on nothing where that is +∞.
+    Values {
+        points: Vec<Vec<f64>>,
+        limit: f64,
+        rival: f64,
+    },
     /// Nothing: an iteration is over, and the best point is up to date.
     EndOfIteration,
 }
@@ -61,6 +66,7 @@ pub struct Search {
     deadline: Option<Instant>,
     asked: Vec<Vec<f64>>,
     limit: f64,
+    rival: f64,
     n_evaluations: usize,
     n_nan: usize,
     history: Vec<f64>,
@@ -79,6 +85,7 @@ impl Search {
                 .and_then(|duration| Instant::now().checked_add(duration)),
             asked: Vec::new(),
             limit: f64::INFINITY,
+            rival: f64::INFINITY,
             n_evaluations: 0,
             n_nan: 0,
             history: Vec::new(),
@@ -189,6 +196,11 @@ impl Search {
         self.limit
     }
 
+    /// What comes next depends on whether a single value is below this.
+    pub(super) fn rival(&self) -> f64 {
+        self.rival
+    }
+
     /// A copy that goes its own way.
     pub(super) fn fork(&self) -> Self {
         Self {
@@ -203,7 +215,11 @@ impl Search {
     fn advance(&mut self, on_iteration: &mut IterationListener<'_>) {
         loop {
             match self.swarm.wish() {
-                Wish::Values { mut points, limit } => {
+                Wish::Values {
+                    mut points,
+                    limit,
+                    rival,
+                } => {
                     let n_left = if self.is_late() {
                         0
                     } else {
@@ -214,7 +230,7 @@ impl Search {
                         continue;
                     }
                     points.truncate(n_left);
-                    (self.asked, self.limit) = (points, limit);
+                    (self.asked, self.limit, self.rival) = (points, limit, rival);
                     return;
                 }
                 Wish::EndOfIteration => {

@@ -135,6 +135,7 @@ impl Swarm for Pod {
         Wish::Values {
             points: self.whales.clone(),
             limit: f64::INFINITY,
+            rival: f64::INFINITY,
         }
     }
 
