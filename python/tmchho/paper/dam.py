@@ -269,8 +269,8 @@ def _show_distances(runs: list[Run]) -> Content:
             f"{result['shift_m']:.4f} m in the middle.",
             f"Averages here: {min(averages):.4f} to {max(averages):.4f} m; printed: "
             f"{min(printed_averages):.4f} to {max(printed_averages):.4f} m.",
-            f"At the true pose the averages differ from those here by at most {excess:.4f} m: the rest is "
-            "the surveys' own spacing, noise and holes.",
+            f"At the true pose the averages differ from those by at most {excess:.2g} m; all else is in the "
+            "surveys.",
         ),
         differences=(
             _NOT_THE_DAM,

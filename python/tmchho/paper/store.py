@@ -52,8 +52,9 @@ class RunStore:
         # What is remembered is what a later reading of the line will give.
         line = json.dumps({"version": __version__, "job": job, "result": result})
         try:
-            with self._path.open("a", encoding="utf-8", newline="\n") as stream:
-                stream.write(line + "\n")
+            # In one write, so that a kill can only cut the last line short.
+            with self._path.open("ab", buffering=0) as stream:
+                stream.write(f"{line}\n".encode())
         except OSError as error:
             raise WriteError(f"{self._path}: cannot be written ({reason(error)}); check the disk") from error
         self._results[_key(job)] = json.loads(line)["result"]
