@@ -93,7 +93,7 @@ fn published(
                     let z: Vec<f64> = (0..D)
                         .map(|d| {
                             let (u, v) = (rand.normal(), rand.normal());
-                            y[d] + s[d] * (u * SIGMA / v.abs().powf(1.0 / 1.5))
+                            y[d] + s[d] * (u * SIGMA / (v * v).cbrt())
                         })
                         .collect();
                     if f(&clip(&z)) < f(&xi) {
