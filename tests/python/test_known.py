@@ -265,7 +265,7 @@ def test_a_bad_file_of_control_points_is_named(tmp_path: Path, content: bytes | 
 def test_only_what_lies_in_the_crops_takes_part(clouds: tuple[Floats, Floats]) -> None:
     # A second copy of the field, elsewhere: one of two equal places, unless the crop leaves it out.
     twin = np.concatenate([clouds[1], field(7000, 8, 60, survey=3) + np.array([0.0, 200.0, 30.0])])
-    assert tmchho.register(clouds[0], twin, config=QUICK).verdict != "accepted"
+    assert tmchho.register(clouds[0], twin).verdict != "accepted"
     crop = [[0.0, -5.0, -50.0], [70.0, 60.0, 50.0]]
     found = tmchho.register(clouds[0], twin, target_crop=crop)
     assert found.verdict == "accepted"
