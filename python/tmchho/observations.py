@@ -88,9 +88,10 @@ class Observations:
     Parameters
     ----------
     prior : PosePrior, optional
-        A pose that is known roughly.
+        A pose that is known roughly; in a file a section with the fields of `PosePrior`.
     control_points : sequence of ControlPoint, optional
-        Places measured in both clouds. Three of them that are not on a line are a pose by themselves.
+        Places measured in both clouds, each with source, target and sigma_m. Three of them that are not on a
+        line are a pose by themselves.
 
     Raises
     ------
