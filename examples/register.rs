@@ -42,7 +42,7 @@ pub(crate) fn main() -> tmchho::Result<()> {
         100.0 * found.overlap_of_source
     );
     println!("cloud to cloud: {:.3} m rms", found.source_to_target.rms_m);
-    let error = found.target_from_source * truth.inverse();
+    let error = found.target_from_source.rigid * truth.inverse();
     println!(
         "off the truth: {:.6}°",
         error.rotation_angle_rad().to_degrees()

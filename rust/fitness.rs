@@ -12,6 +12,7 @@ use crate::error::Result;
 use crate::near_field::NearField;
 use crate::neighbors::{Neighbor, NeighborIndex};
 use crate::normals::{self, Surface};
+use crate::parallel;
 use crate::point_to_plane::PlaneSums;
 use crate::progress::Progress;
 use crate::rigid::Rigid;
@@ -122,14 +123,22 @@ pub struct Agreement {
     /// Witnesses of both clouds with a partner within the distance and with an agreeing normal, by
     /// twice the number of witnesses of the cloud with fewer; 0 to about 1.
     pub inlier_share: f64,
-    /// The same by weight, divided by the misfit where that is above 1. Compares poses of one pair of
-    /// clouds.
-    pub score: f64,
+    /// The same by weight.
+    pub weighted_share: f64,
     /// How far the surfaces lie apart, by how rough they are themselves: the median distance of
     /// partners from each other's planes, by the median of what the roughness of both explains. About
     /// 0.2 to 1.1 where both show the same place, more where they only resemble each other; NaN where
     /// too few witnesses find a partner.
     pub misfit: f64,
+}
+
+impl Agreement {
+    /// What poses of one pair of clouds are ranked by: the weighted share, divided by the misfit where
+    /// that is above 1.
+    pub fn score(&self) -> f64 {
+        // The larger of 1 and NaN is 1.
+        self.weighted_share / self.misfit.max(1.0)
+    }
 }
 
 /// Who counts as a partner.
@@ -174,29 +183,34 @@ impl FindsPartner for NearField {
 }
 
 /// Counts partners at `pose` (fixed from moving).
-pub fn agreement<P: FindsPartner>(
+pub fn agreement<P: FindsPartner + Sync>(
     moving: (&Witnesses, &P),
     fixed: (&Witnesses, &P),
     pose: &Similarity,
     tolerance: Tolerance,
 ) -> Agreement {
-    let mut forth = Count::default();
-    let mut apart = Misfit::default();
-    each_partner(moving.0, &fixed.0.cloud, fixed.1, pose, tolerance, |pair| {
-        forth.add(moving.0.weights[pair.from]);
-        let own = pose.scale * moving.0.cloud.surfaces[pair.from].roughness_m;
-        let theirs = fixed.0.cloud.surfaces[pair.to].roughness_m;
-        apart.add(pair.off_plane, own.hypot(theirs));
-    });
-    let mut back = Count::default();
     let inverse = pose.inverse();
-    each_partner(
-        fixed.0,
-        &moving.0.cloud,
-        moving.1,
-        &inverse,
-        tolerance,
-        |pair| back.add(fixed.0.weights[pair.from]),
+    let ((forth, misfit), back) = parallel::both(
+        || {
+            let (mut count, mut apart) = (Count::default(), Misfit::default());
+            let to = &fixed.0.cloud;
+            each_partner(moving.0, to, fixed.1, pose, tolerance, |pair| {
+                count.add(moving.0.weights[pair.from]);
+                let own = pose.scale * moving.0.cloud.surfaces[pair.from].roughness_m;
+                let theirs = to.surfaces[pair.to].roughness_m;
+                apart.add(pair.off_plane, own.hypot(theirs));
+            });
+            let misfit = apart.ratio(LEAST_ROUGHNESS * tolerance.distance_m);
+            (count, misfit)
+        },
+        || {
+            let mut count = Count::default();
+            let to = &moving.0.cloud;
+            each_partner(fixed.0, to, moving.1, &inverse, tolerance, |pair| {
+                count.add(fixed.0.weights[pair.from]);
+            });
+            count
+        },
     );
     let (moving, fixed) = (moving.0, fixed.0);
     let smaller = if moving.len() <= fixed.len() {
@@ -205,12 +219,10 @@ pub fn agreement<P: FindsPartner>(
         fixed
     };
     let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
-    let misfit = apart.ratio(LEAST_ROUGHNESS * tolerance.distance_m);
     let weight = forth.inlier_weight + back.inlier_weight;
     Agreement {
         inlier_share: share(forth.n_inliers + back.n_inliers, 2.0 * smaller.len() as f64),
-        // The larger of 1 and NaN is 1.
-        score: share(weight, 2.0 * smaller.weights.iter().sum::<f64>()) / misfit.max(1.0),
+        weighted_share: share(weight, 2.0 * smaller.weights.iter().sum::<f64>()),
         misfit,
     }
 }
@@ -346,12 +358,12 @@ pub fn support(
     max_distance_m: f64,
 ) -> Support {
     let max_sq = max_distance_m * max_distance_m;
-    let pairs: Vec<(Point, Neighbor)> = moving
-        .points()
-        .iter()
-        .map(|p| pose.apply(p))
-        .filter_map(|p| Some((p, fixed.index.nearest_within(&p, max_sq)?)))
-        .collect();
+    let points = moving.points();
+    let pairs = parallel::map(points.len(), |i| {
+        let moved = pose.apply(&points[i]);
+        Some((moved, fixed.index.nearest_within(&moved, max_sq)?))
+    });
+    let pairs: Vec<(Point, Neighbor)> = pairs.into_iter().flatten().collect();
     let n = pairs.len().max(1) as f64;
     let mut middle = [0.0; 3];
     for (p, _) in &pairs {
@@ -421,12 +433,12 @@ mod tests {
         let tolerance = Tolerance::within(0.01);
         let here = agree(&a, &b, &Rigid::identity(), tolerance);
         assert_eq!(
-            (here.inlier_share, here.score, here.misfit),
+            (here.inlier_share, here.score(), here.misfit),
             (1.0, 1.0, 0.0)
         );
         let away = Rigid::from_euler([0.0; 3], [10.0, 0.0, 0.0]);
         let there = agree(&a, &b, &away, tolerance);
-        assert_eq!((there.inlier_share, there.score), (0.0, 0.0));
+        assert_eq!((there.inlier_share, there.score()), (0.0, 0.0));
         assert!(there.misfit.is_nan());
         let supported = |pose: Rigid| support(&a.cloud, &b.cloud, &pose.into(), 0.01);
         let here = supported(Rigid::identity());
@@ -448,7 +460,7 @@ mod tests {
             forth.inlier_share > 0.85 && forth.inlier_share < 1.15,
             "{forth:?}"
         );
-        assert!((forth.score - back.score).abs() < 1e-12);
+        assert!((forth.weighted_share - back.weighted_share).abs() < 1e-12);
     }
 
     fn floor(lift: f64, seed: u64) -> SurfaceCloud {
@@ -497,7 +509,7 @@ mod tests {
             let found = agree(&a, &b, &lifted, Tolerance::within(0.04));
             assert!(misfit.contains(&found.misfit), "{lift}: {found:?}");
             assert!(found.inlier_share > 0.9);
-            assert!((found.score * found.misfit.max(1.0) - found.inlier_share).abs() < 0.1);
+            assert!((found.score() * found.misfit.max(1.0) - found.inlier_share).abs() < 0.1);
         }
     }
 

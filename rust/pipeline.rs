@@ -100,7 +100,13 @@ fn route(
     log.end(source_cleaned.len(), target_cleaned.len());
 
     let mut best: Option<(Prepared, CoarseResult)> = None;
-    for scale in search::scales(&config)? {
+    let scales = search::scales(&config)?;
+    let enough = search::enough(&config).in_first_round();
+    if scales.len() > 1 {
+        config.coarse.rotations_per_round =
+            search::rounds_at_each_scale(&config.coarse.rotations_per_round);
+    }
+    for scale in scales {
         log.begin(Stage::Voxel, source_cleaned.len(), target_cleaned.len())?;
         let prepared = Prepared::new(&source_cleaned, &target_cleaned, scale, &config, progress)?;
         log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
@@ -110,9 +116,13 @@ fn route(
             other => other?,
         };
         log.keep();
+        let stands_out = enough.is_met_by(found.inlier_share(), found.ambiguity_ratio);
         let merit = search::merit(&found);
         if best.as_ref().is_none_or(|(_, b)| merit > search::merit(b)) {
             best = Some((prepared, found));
+        }
+        if stands_out {
+            break;
         }
     }
     let (mut prepared, found) = best.ok_or_else(|| Error::NoSolution {
@@ -165,7 +175,8 @@ fn route(
     // Robust mode keeps ICP's pose only where it is no worse, or where it heeds what is known; the
     // paper always takes it.
     let takes_fine = config.mode == Mode::Paper || !known.is_empty();
-    let (pose, agreed, uncertainty) = if takes_fine || after.score >= LEAST_KEPT * before.score {
+    let (pose, agreed, uncertainty) = if takes_fine || after.score() >= LEAST_KEPT * before.score()
+    {
         (fine.target_from_source, after, fine.uncertainty)
     } else {
         (coarse_pose, before, None)
@@ -317,9 +328,10 @@ fn held_out_ratio(prepared: &Prepared, pose: &Similarity, max_distance_m: f64) -
     let index = &prepared.target.cloud.index;
     let rms = |points: &[Point]| {
         let max_sq = max_distance_m * max_distance_m;
-        let found = points
-            .iter()
-            .filter_map(|p| index.nearest_within(&pose.apply(p), max_sq));
+        let found = parallel::map(points.len(), |i| {
+            index.nearest_within(&pose.apply(&points[i]), max_sq)
+        });
+        let found = found.into_iter().flatten();
         let (n, sum) = found.fold((0, 0.0), |(n, sum), pair| (n + 1, sum + pair.distance_sq));
         (n >= LEAST_PAIRS).then(|| (sum / n as f64).sqrt())
     };

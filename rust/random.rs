@@ -3,9 +3,10 @@
 //! Why: a stream belongs to a purpose and an index, never to a thread, so that results do not
 //! depend on the number of threads, and a new use of random numbers does not reshuffle the others.
 //! Source: PCG64 (O'Neill 2014) through `rand_pcg`, whose output is stable across releases and
-//! platforms; normal deviates by the polar method (Marsaglia & Bray 1964).
+//! platforms; normal deviates by the ziggurat (Marsaglia & Tsang 2000) through `rand_distr`.
 
 use rand::{Rng, RngExt, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 /// One stream of random numbers.
@@ -59,14 +60,7 @@ impl Stream {
 
     /// N(0, 1).
     pub fn normal(&mut self) -> f64 {
-        loop {
-            let u = 2.0 * self.uniform() - 1.0;
-            let v = 2.0 * self.uniform() - 1.0;
-            let s = u * u + v * v;
-            if s > 0.0 && s < 1.0 {
-                return u * (-2.0 * s.ln() / s).sqrt();
-            }
-        }
+        StandardNormal.sample(&mut self.generator)
     }
 
     /// `n_wanted` different whole numbers below `n`, in random order (all of them if `n` is less).

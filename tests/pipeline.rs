@@ -17,6 +17,7 @@ use tmchho::neighbors::NeighborIndex;
 use tmchho::pipeline::{evaluate, fuse_clouds, register};
 use tmchho::progress::{Event, Progress, Stage};
 use tmchho::random::Stream;
+use tmchho::similarity::Similarity;
 use tmchho::verdict::Verdict;
 use tmchho::{Cloud, Error, Point, Registration, Rigid};
 use tmchho::{fitness, keypoints, outlier, voxel};
@@ -140,13 +141,13 @@ fn the_pose_that_the_files_have_is_never_made_worse() {
         for config in [&blind, &Config::default()] {
             let found = pair.register(config);
             assert_true_pose(&format!("given off by {shift_m} m"), &pair, &found);
-            let within = |pose: &Rigid| {
+            let within = |pose: Similarity| {
                 let lie = evaluate(&pair.source, &pair.target, pose, &Progress::silent()).unwrap();
                 share_within(&lie.source_to_target_m, found.max_distance_m)
             };
             let (before, after) = (
-                within(&Rigid::identity()),
-                within(&found.target_from_source),
+                within(Rigid::identity().into()),
+                within(found.target_from_source),
             );
             assert!(after > before - 0.002, "{before} {after}");
         }
@@ -274,7 +275,7 @@ fn paper_mode_runs_end_to_end_and_never_accepts_itself() {
             ]
         );
         let (pose, score) = found.candidates[0];
-        let rms = fitness::rms(&source, &NeighborIndex::new(&target), &pose);
+        let rms = fitness::rms(&source, &NeighborIndex::new(&target), &pose.rigid);
         assert!((rms + score).abs() < 1e-6 * rms, "{rms} {score}");
         assert_eq!(found.history.last(), Some(&-score));
 

@@ -61,9 +61,9 @@ proptest! {
             prop_assert_eq!(other.verdict, metres.verdict);
             let (a, b) = (metres.target_from_source, other.target_from_source);
             // 1000 is no power of two: every coordinate is rounded anew.
-            let turned = (a.rotation - b.rotation).amax();
-            let shifted = (a.translation * factor - b.translation).amax()
-                / (a.translation.amax() * factor);
+            let turned = (a.rigid.rotation - b.rigid.rotation).amax();
+            let shifted = (a.rigid.translation * factor - b.rigid.translation).amax()
+                / (a.rigid.translation.amax() * factor);
             prop_assert!(turned < 1e-9 && shifted < 1e-9, "{factor}: {turned} {shifted}");
         }
     }
@@ -74,7 +74,7 @@ proptest! {
         let grid = Rigid::from_euler([0.0; 3], [500_000.0, 4_000_000.0, 250.0]);
         let (there, far) = found_at(&pair, &grid, &grid);
         prop_assert_eq!(far.verdict, here.verdict);
-        let expected = grid * here.target_from_source * grid.inverse();
+        let expected = grid * here.target_from_source.rigid * grid.inverse();
         let apart_m = farthest_m(&there.source, &expected, &far.target_from_source);
         prop_assert!(apart_m < 1e-6, "{apart_m}");
     }

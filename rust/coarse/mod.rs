@@ -43,7 +43,8 @@ pub struct Candidate {
 pub struct CoarseResult {
     /// Distinct poses, best first; never empty.
     pub candidates: Vec<Candidate>,
-    /// Score of the best by the score of the best clearly different pose; infinite where no other
+    /// Weighted share of inliers of the best pose, counted at the accuracy that the clouds show there,
+    /// by that of the best clearly different pose; infinite where no other
     /// pose scored, 1 where two poses are equally good, NaN where no second pose was looked for.
     pub ambiguity_ratio: f64,
     /// The best score of a few random poses, refined like all others; NaN in paper mode.

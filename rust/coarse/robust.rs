@@ -55,7 +55,8 @@ pub struct StandingOut {
 }
 
 impl StandingOut {
-    fn in_first_round(self) -> Self {
+    /// The same for a search that has met few rivals yet.
+    pub fn in_first_round(self) -> Self {
         Self {
             inlier_share: self.inlier_share.max(FIRST_ROUND_SHARE),
             ambiguity_ratio: self.ambiguity_ratio.max(FIRST_ROUND_RATIO),
@@ -209,14 +210,14 @@ pub fn search_robust(
     let n_evaluations = n_explored + verifier.n_evaluations;
     let candidates: Vec<Candidate> = verifier
         .distinct()
-        .filter(|v| v.agreement.score > 0.0)
+        .filter(|v| v.agreement.score() > 0.0)
         .take(MAX_CANDIDATES)
         .map(|v| Candidate {
             target_from_source: match source_moves {
                 true => v.pose,
                 false => v.pose.inverse(),
             },
-            score: v.agreement.score,
+            score: v.agreement.score(),
             inlier_share: v.agreement.inlier_share,
         })
         .collect();

@@ -44,10 +44,10 @@ const LEAST_OFF_PLANE: f64 = 0.0005;
 /// Rivals that are compared with the best pose; the next ones scored less in the first count.
 const N_RIVALS: usize = 8;
 /// Random poses that tell what chance reaches.
-const N_CHANCE: usize = 12;
+const N_CHANCE: usize = 4;
 
-/// Cells of the near field: as fine as the voxels.
-const FINE_CELL: f64 = 1.0 / 250.0;
+/// Cells of the near field: about as fine as the voxels.
+const FINE_CELL: f64 = 1.0 / 200.0;
 const MAX_BLOCKS: usize = 4_000_000;
 
 /// Poses closer than this to the best one are the best one, not its rival.
@@ -160,7 +160,7 @@ impl<'a> Verifier<'a> {
         let refined = refined.into_iter().collect::<Result<Vec<_>>>()?;
         for (i, verified) in refined.into_iter().enumerate() {
             let Some(verified) = verified else { continue };
-            let best = self.best_score_so_far().max(verified.agreement.score);
+            let best = self.best_score_so_far().max(verified.agreement.score());
             self.history.push(best);
             self.verified.push(verified);
             self.n_evaluations += REFINE_POINTS.n_steps + REFINE_PLANES.n_steps + 1;
@@ -173,7 +173,7 @@ impl<'a> Verifier<'a> {
         }
         self.rank();
         self.finish_leaders(deadline, progress)?;
-        let best = self.best().map_or(0.0, |v| v.agreement.score);
+        let best = self.best().map_or(0.0, |v| v.agreement.score());
         self.history.push(best.max(self.best_score_so_far()));
         Ok(())
     }
@@ -260,7 +260,7 @@ impl<'a> Verifier<'a> {
         let knowledge = self.knowledge;
         self.verified.retain(|v| !knowledge.excludes(&v.pose));
         self.verified
-            .sort_by(|a, b| b.agreement.score.total_cmp(&a.agreement.score));
+            .sort_by(|a, b| b.agreement.score().total_cmp(&a.agreement.score()));
     }
 
     /// The best pose so far.
@@ -280,7 +280,7 @@ impl<'a> Verifier<'a> {
         kept.into_iter()
     }
 
-    /// Score of the best pose by that of its best rival, both at the accuracy that the clouds show
+    /// Weighted share of the best pose by that of its best rival, both at the accuracy that the clouds show
     /// at the best pose: at a wrong pose they lie off each other's planes and leave room for rivals.
     pub(super) fn ambiguity_ratio(&self) -> f64 {
         let Some(best) = self.best() else {
@@ -295,7 +295,9 @@ impl<'a> Verifier<'a> {
             off_plane_m,
         };
         let poses: Vec<Similarity> = self.distinct().take(N_RIVALS + 1).map(|v| v.pose).collect();
-        let scores = parallel::map(poses.len(), |i| self.agreement(&poses[i], tolerance).score);
+        let scores = parallel::map(poses.len(), |i| {
+            self.agreement(&poses[i], tolerance).weighted_share
+        });
         let rival = scores[1..].iter().copied().fold(0.0, f64::max);
         if rival > 0.0 {
             scores[0] / rival
@@ -319,7 +321,7 @@ impl<'a> Verifier<'a> {
         refined
             .iter()
             .filter(is_other)
-            .map(|v| v.agreement.score)
+            .map(|v| v.agreement.score())
             .fold(0.0, f64::max)
     }
 

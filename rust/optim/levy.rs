@@ -20,7 +20,8 @@ pub const SIGMA: f64 = 0.696_574_502_557_696_8;
 /// ```
 pub fn step(u: f64, v: f64, factor: f64) -> f64 {
     // Eq. (5): LF = c u σ / |v|^(1/β)
-    factor * u * SIGMA / v.abs().powf(1.0 / BETA)
+    // 1/β = 2/3, and a cube root costs a third of a power.
+    factor * u * SIGMA / (v * v).cbrt()
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ use crate::registration::StageLog;
 
 /// Scales that are searched lie at most so many times apart: the refinement of poses bridges half.
 const SCALE_STEP: f64 = 1.2;
+const ROUNDS_AT_EACH_SCALE: usize = 2;
 /// Beyond this a lead over the rivals says nothing more about which scale is right.
 const FULL_LEAD: f64 = 3.0;
 
@@ -97,9 +98,18 @@ pub(super) fn scales(config: &Config) -> Result<Vec<f64>> {
         return Ok(vec![measured.target_from_source.scale]);
     }
     let n = ((high / low).ln() / SCALE_STEP.ln()).ceil().max(1.0);
-    Ok((0..n as usize)
+    let mut scales: Vec<f64> = (0..n as usize)
         .map(|i| low * (high / low).powf((i as f64 + 0.5) / n))
-        .collect())
+        .collect();
+    // The likeliest first.
+    scales.sort_by(|a, b| a.ln().abs().total_cmp(&b.ln().abs()));
+    Ok(scales)
+}
+
+/// The rounds that are worth their time at each of several scales; whether a pose stands out shows
+/// at the right one.
+pub(super) fn rounds_at_each_scale(rounds: &[usize]) -> Vec<usize> {
+    rounds[..rounds.len().min(ROUNDS_AT_EACH_SCALE)].to_vec()
 }
 
 /// How well a search at one scale went, to be compared with others.

@@ -425,11 +425,11 @@ mod tests {
             ),
             (
                 Evidence {
-                    lead_over_chance: 1.2,
+                    lead_over_chance: 1.15,
                     ..good()
                 },
                 Verdict::Review,
-                "1.20 times what random poses reach",
+                "1.15 times what random poses reach",
             ),
             (
                 Evidence {

@@ -12,6 +12,7 @@ use tmchho::config::Config;
 use tmchho::pipeline::register;
 use tmchho::progress::Progress;
 use tmchho::random::Stream;
+use tmchho::similarity::Similarity;
 use tmchho::{Point, Registration, Rigid};
 
 /// Longest side of every scene.
@@ -200,13 +201,18 @@ impl Pair {
     }
 
     /// How far the pose puts a source point from where it belongs, at most.
-    pub(crate) fn error_m(&self, pose: &Rigid) -> f64 {
+    pub(crate) fn error_m(&self, pose: impl Into<Similarity>) -> f64 {
         farthest_m(&self.source, pose, &self.target_from_source)
     }
 }
 
 /// How far apart two poses put a point, at most.
-pub(crate) fn farthest_m(points: &[Point], a: &Rigid, b: &Rigid) -> f64 {
+pub(crate) fn farthest_m(
+    points: &[Point],
+    a: impl Into<Similarity>,
+    b: impl Into<Similarity>,
+) -> f64 {
+    let (a, b) = (a.into(), b.into());
     let apart_m = |p: &Point| distance_m(&a.apply(p), &b.apply(p));
     points.iter().map(apart_m).fold(0.0, f64::max)
 }

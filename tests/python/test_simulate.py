@@ -418,6 +418,19 @@ def test_area_ratio_overlap_and_counts_are_as_asked(ratio, overlap):
         assert offset > 5.0
 
 
+@pytest.mark.parametrize(("ratio", "density_ratio"), [(1.0, 4.0), (3.0, 0.5)])
+def test_the_density_ratio_is_that_of_points_per_area(ratio, density_ratio):
+    pair = make_pair(
+        size_m=80.0, area_ratio=ratio, n_scanner_points=6_000, density_ratio=density_ratio, stations=3, seed=1
+    )
+    flown, scanned = pair.site.photogrammetry_area, pair.site.scanner_area
+    per_area = (len(pair.target) / scanned.square_metres) / (len(pair.source) / flown.square_metres)
+    assert per_area == pytest.approx(density_ratio, rel=1e-3)
+    # A number of points beside it would be a second word on the same thing.
+    with pytest.raises(InvalidArgumentError, match="leave out n_photogrammetry_points"):
+        make_pair(**SMALL, n_photogrammetry_points=100, density_ratio=density_ratio)
+
+
 def test_random_poses_are_rigid_even_and_within_the_shift():
     rng = np.random.default_rng(2)
     poses = np.array([random_pose(rng, 3.0) for _ in range(4000)])
@@ -453,6 +466,8 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
         ("centre_offset", (0.0,)),
         ("n_photogrammetry_points", 0),
         ("n_photogrammetry_points", 10.5),
+        ("density_ratio", 0.0),
+        ("density_ratio", "half"),
         ("n_scanner_points", -5),
         ("n_scanner_points", True),
         ("stations", 0),
@@ -475,8 +490,9 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
     ],
 )
 def test_wrong_arguments_are_named(argument, value):
+    few = {**FEW, "n_photogrammetry_points": None} if argument == "density_ratio" else FEW
     with pytest.raises(InvalidArgumentError, match=argument):
-        make_pair(**{**SMALL, **FEW, argument: value})
+        make_pair(**{**SMALL, **few, argument: value})
 
 
 def test_a_station_inside_a_solid_is_refused(site):

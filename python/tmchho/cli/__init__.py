@@ -11,6 +11,7 @@ from tmchho.cli.demo import demo
 from tmchho.cli.evaluate import evaluate
 from tmchho.cli.failures import EXIT_CODES, Commands
 from tmchho.cli.info import info
+from tmchho.cli.paper import paper
 from tmchho.cli.register import register
 
 
@@ -38,7 +39,7 @@ def main() -> None:
     """
 
 
-for _command in (register, evaluate, info, demo, config):
+for _command in (register, evaluate, info, demo, config, paper):
     main.add_command(_command)
 
 __all__ = ["main"]

@@ -64,8 +64,9 @@ def make_pair(
     area_ratio: float = 4.0,
     overlap: float = 1.0,
     centre_offset: tuple[float, float] = (-0.55, 0.35),
-    n_photogrammetry_points: int = 420_000,
+    n_photogrammetry_points: int | None = None,
     n_scanner_points: int = 320_000,
+    density_ratio: float | None = None,
     stations: int | Sequence[Sequence[float]] | Array = 8,
     photogrammetry_noise_m: float = 0.03,
     scanner_noise_m: float = 0.004,
@@ -83,6 +84,9 @@ def make_pair(
         Extent of the two surveys; see `make_site`.
     n_photogrammetry_points, n_scanner_points : int, default 420000 and 320000
         Exact numbers of points.
+    density_ratio : float, optional
+        Points per area of the scanner's square over those of the photogrammetry's, 0.01 to 1000: sets
+        the number of photogrammetric points, which is not given then.
     stations : int or (k, 2) array, default 8
         Number of scanner stations, or their plan coordinates in the site's own frame.
     photogrammetry_noise_m, photogrammetry_outlier_share
@@ -118,8 +122,8 @@ def make_pair(
     """
     # Here, so that messages name the arguments of this function, and before anything takes time.
     seed = checked_seed(seed)
-    n_flown = checked_n_points("n_photogrammetry_points", n_photogrammetry_points)
     n_scanned = checked_n_points("n_scanner_points", n_scanner_points)
+    n_flown = _n_photogrammetry_points(n_photogrammetry_points, density_ratio, n_scanned, area_ratio)
     flown_noise_m = checked_noise("photogrammetry_noise_m", photogrammetry_noise_m)
     scanned_noise_m = checked_noise("scanner_noise_m", scanner_noise_m)
     flown_outliers = checked_outlier_share("photogrammetry_outlier_share", photogrammetry_outlier_share)
@@ -162,6 +166,21 @@ def make_pair(
     target_from_source = invert(source_from_target) if given_pose is None else given_pose
     source = replace(flown, xyz=xyz, crs=None if moved else crs)
     return SimulatedPair(source, target, target_from_source, site, target_from_site)
+
+
+def _n_photogrammetry_points(
+    given: int | None, density_ratio: float | None, n_scanned: int, area_ratio: float
+) -> int:
+    """Return the number of points that is given, or follows from the densities, or is usual."""
+    if density_ratio is None:
+        return checked_n_points("n_photogrammetry_points", 420_000 if given is None else given)
+    if given is not None:
+        raise InvalidArgumentError(
+            "density_ratio sets the number of photogrammetric points: leave out n_photogrammetry_points"
+        )
+    ratio = checked_number("density_ratio", density_ratio, 0.01, 1000.0)
+    times = checked_number("area_ratio", area_ratio, 1.0, 16.0) / ratio
+    return max(round(n_scanned * times), 1)
 
 
 def random_pose(rng: np.random.Generator, max_shift_m: float) -> Array:
