@@ -82,9 +82,8 @@ impl Similarity {
         let rotation = part / scale;
         let shear = (rotation * rotation.transpose() - Matrix3::identity()).amax();
         let is_finite = matrix.iter().flatten().all(|v| v.is_finite());
-        // Also refuses NaN, which is what becomes of a matrix of zeros.
-        let is_sheared = !(shear <= MAX_SHEAR);
-        if is_finite && is_sheared {
+        // NaN is what becomes of a matrix of zeros.
+        if is_finite && (shear.is_nan() || shear > MAX_SHEAR) {
             return Err(Error::argument(
                 "the 4×4 transformation",
                 "must hold a rotation and one scale: its 3×3 part shears, flattens, or stretches one \

@@ -218,7 +218,7 @@ pub(super) fn kabsch<'py>(
             needed: 1,
         })
     })?;
-    briefly(|| Ok(from_pose(py, &found)))
+    briefly(|| Ok(from_pose(py, found)))
 }
 
 /// The RMS of Eq. (1) at the six parameters.
@@ -272,7 +272,7 @@ pub(super) fn median_spacing<'py>(py: Python<'py>, array: ReadArray<'py>) -> PyR
 /// The (4, 4) matrix of Eq. (1).
 #[pyfunction]
 pub(super) fn euler_to_matrix(py: Python<'_>, parameters: [f64; 6]) -> PyResult<Bound<'_, PyAny>> {
-    briefly(|| Ok(from_pose(py, &pose_of(parameters))))
+    briefly(|| Ok(from_pose(py, pose_of(parameters))))
 }
 
 /// The six parameters of Eq. (1) of a (4, 4) matrix.
