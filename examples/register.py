@@ -1,4 +1,4 @@
-"""Align a photogrammetry cloud with terrestrial scans, judge the result, and fuse the two.
+"""Align a photogrammetry cloud with terrestrial scans, judge the result, and fuse the two; then with a scale.
 
 Run it with `python examples/register.py`; the fused cloud is written to the current folder.
 """
@@ -23,3 +23,13 @@ if found.verdict == "accepted":
     fused = tmchho.fuse(pair.source, pair.target, found)
     print(f"{fused.n_filled_by_source:,} photogrammetry points fill holes of the scans")
     tmchho.write(fused.to_point_cloud(pair.source, pair.target), "fused.laz", overwrite=True)
+
+# A model without a scale: 7 degrees of freedom, and the scale comes out with its accuracy.
+model = (pair.source.xyz - middle) / 1.1
+found = tmchho.register(model, pair.target, dof=7, config={"scale_bounds": [1.0, 1.25]})
+print(f"scale {found.scale:.4f}, standard error {found.scale_standard_error:.1e}")
+
+# What is known roughly settles what the clouds leave open.
+prior = tmchho.PosePrior(pair.target_from_source, rotation_rad=[0.2] * 3, translation_m=[5.0] * 3)
+found = tmchho.register(pair.source, pair.target, prior=prior)
+print(f"{found.verdict}; a point is off by {found.registration_error:.3f} m (1σ)")

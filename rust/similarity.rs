@@ -4,8 +4,16 @@
 
 use std::ops::Mul;
 
+use nalgebra::Matrix3;
+
 use crate::cloud::Point;
+use crate::error::{Error, Result};
 use crate::rigid::Rigid;
+
+/// A length of 1 comes out of a rotation with an error of a few roundings; that is no scale.
+const ROUNDING: f64 = 1e-12;
+/// How far the rotation of a matrix that somebody wrote may be from orthonormal.
+const MAX_SHEAR: f64 = 1e-6;
 
 /// q = R·(s·p) + t. Named by its direction, as [`Rigid`] is.
 ///
@@ -45,6 +53,48 @@ impl Similarity {
                 translation: back.translation / self.scale,
             },
         }
+    }
+
+    /// Reads a 4×4 matrix. That of a rigid transform has the scale 1, exactly.
+    ///
+    /// # Errors
+    /// [`Error::InvalidArgument`] unless the matrix is finite, its last row is 0 0 0 1 and its 3×3
+    /// part is a rotation times a scale: orthogonal to 1e-6 of it, determinant above 0.
+    ///
+    /// ```
+    /// use tmchho::similarity::Similarity;
+    /// let mut matrix = [[0.0, -2.0, 0.0, 5.0], [2.0, 0.0, 0.0, 6.0], [0.0, 0.0, 2.0, 7.0], [0.0; 4]];
+    /// matrix[3][3] = 1.0;
+    /// let pose = Similarity::from_matrix4(&matrix)?;
+    /// assert_eq!(pose.apply(&[1.0, 0.0, 0.0]), [5.0, 8.0, 7.0]);
+    /// matrix[2][2] = 1.0;
+    /// assert!(Similarity::from_matrix4(&matrix).unwrap_err().to_string().contains("one scale"));
+    /// # Ok::<(), tmchho::Error>(())
+    /// ```
+    pub fn from_matrix4(matrix: &[[f64; 4]; 4]) -> Result<Self> {
+        let part = Matrix3::from_fn(|row, column| matrix[row][column]);
+        let length = part.norm() / 3_f64.sqrt();
+        let scale = if (length - 1.0).abs() < ROUNDING {
+            1.0
+        } else {
+            length
+        };
+        let rotation = part / scale;
+        let shear = (rotation * rotation.transpose() - Matrix3::identity()).amax();
+        let is_finite = matrix.iter().flatten().all(|v| v.is_finite());
+        // NaN is what becomes of a matrix of zeros.
+        if is_finite && (shear.is_nan() || shear > MAX_SHEAR) {
+            return Err(Error::argument(
+                "the 4×4 transformation",
+                "must hold a rotation and one scale: its 3×3 part shears, flattens, or stretches one \
+                 axis more than another",
+            ));
+        }
+        let mut unscaled = *matrix;
+        for row in unscaled.iter_mut().take(3) {
+            row.iter_mut().take(3).for_each(|v| *v /= scale);
+        }
+        Rigid::from_matrix4(&unscaled).map(|rigid| Self { scale, rigid })
     }
 
     /// The 4×4 matrix, row by row; its 3×3 part is s·R.
@@ -139,6 +189,36 @@ mod tests {
             [0, 1, 2].map(|r| m[r][0] * p[0] + m[r][1] * p[1] + m[r][2] * p[2] + m[r][3]);
         assert_same(&by_matrix, &second.apply(&p));
         assert_eq!(m[3], [0.0, 0.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn a_matrix_is_read_as_what_wrote_it() {
+        for scale in [1e-3, 0.3048, 1.0, 1.0 + 1e-7, 1000.0] {
+            let (wrote, p) = (pose(scale, 0.7), [0.3, -4.0, 7.0]);
+            let read = Similarity::from_matrix4(&wrote.to_matrix4()).unwrap();
+            assert!((read.scale / scale - 1.0).abs() < 1e-14);
+            let (wanted, got) = (wrote.apply(&p), read.apply(&p));
+            assert!((0..3).all(|axis| (got[axis] - wanted[axis]).abs() < 1e-11 * scale.max(1.0)));
+        }
+        let rigid = Rigid::from_euler([0.1, 0.2, 0.3], [1.0, 2.0, 3.0]);
+        let read = Similarity::from_matrix4(&rigid.to_matrix4()).unwrap();
+        assert_eq!(read, rigid.into());
+    }
+
+    #[test]
+    fn a_matrix_that_is_no_similarity_is_refused() {
+        let refused = |change: &dyn Fn(&mut [[f64; 4]; 4])| {
+            let mut matrix = pose(2.0, 0.4).to_matrix4();
+            change(&mut matrix);
+            Similarity::from_matrix4(&matrix).unwrap_err().to_string()
+        };
+        assert!(refused(&|m| m[0][1] += 1e-3).contains("one scale"));
+        assert!(
+            refused(&|m| m.iter_mut().take(3).for_each(|r| *r = [0.0; 4])).contains("one scale")
+        );
+        assert!(refused(&|m| m[1].iter_mut().for_each(|v| *v = -*v)).contains("mirrors"));
+        assert!(refused(&|m| m[3][0] = 0.1).contains("0 0 0 1"));
+        assert!(refused(&|m| m[2][2] = f64::NAN).contains("finite"));
     }
 
     #[test]

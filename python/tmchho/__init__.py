@@ -42,7 +42,7 @@ from tmchho.errors import (
 from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike
 from tmchho.io import read, write
-from tmchho.observations import ControlPoint, PosePrior
+from tmchho.observations import ControlPoint, Observations, PosePrior, read_control_points
 from tmchho.optimize import minimize
 from tmchho.optimizer import MinimizeResult, Optimizer
 from tmchho.pipeline import evaluate, fuse, register
@@ -81,6 +81,7 @@ __all__ = [
     "IssOptions",
     "MinimizeResult",
     "NoSolutionError",
+    "Observations",
     "Optimizer",
     "OutlierOptions",
     "OutlierResult",
@@ -116,6 +117,7 @@ __all__ = [
     "minimize",
     "nearest_distances",
     "read",
+    "read_control_points",
     "register",
     "remove_outliers",
     "rms_fitness",

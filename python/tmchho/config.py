@@ -20,6 +20,7 @@ import numpy as np
 from tmchho import _core
 from tmchho.arguments import checked_choice, checked_seed
 from tmchho.errors import InvalidArgumentError, ReadError
+from tmchho.observations import Observations, as_tuples
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -27,9 +28,12 @@ else:
     import tomli as tomllib
 
 Mode: TypeAlias = Literal["robust", "paper"]
+DegreesOfFreedom: TypeAlias = Literal[4, 6, 7]
+Corners: TypeAlias = tuple[tuple[float, float, float], tuple[float, float, float]]
 Method: TypeAlias = Literal["tmchho", "tmchho_free", "hho", "pso", "woa", "boa", "doa"]
 MutationReading: TypeAlias = Literal["stagnant", "every_hawk", "after_dives", "after_besieges"]
 _Section = TypeVar("_Section")
+_NOTHING_KNOWN = Observations()
 
 
 @dataclass(frozen=True)
@@ -94,10 +98,17 @@ class RobustSearchOptions:
         Rotations tried in each round; a further round is begun only while no pose stands out.
     n_verified : int, optional
         Poses of each round that are refined and verified, at least 1.
+    descriptors : bool, optional
+        Propose poses by descriptors of the surface as well, from the second round on.
+    max_seconds : float, optional
+        Seconds from the beginning of the registration, above 0, after which the search hands over the best
+        pose so far. No limit where not given. What is found then depends on the machine.
     """
 
     rotations_per_round: tuple[int, ...] | None = None
     n_verified: int | None = None
+    descriptors: bool | None = None
+    max_seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -204,12 +215,26 @@ class VerdictOptions:
         Accept only where the product of both is above this, at least 0.
     accept_strength : float, optional
         Accept only where the weakest direction is held by this share, 0 to 1.
+    accept_lead_over_chance : float, optional
+        Accept only where the pose scores so many times what a few random poses reach, at least 1.
+    accept_held_out_ratio : float, optional
+        Accept only where points held out of the fit lie at most so many times as far away as those in it, at
+        least 1.
+    accept_misfit : float, optional
+        Accept only where the surfaces lie at most so many times as far apart as they are rough themselves,
+        above 0.
+    accept_deviation_from_known : float, optional
+        Accept only up to so many standard deviations from the prior and the control points, above 0.
     """
 
     accept_inlier_share: float | None = None
     accept_ambiguity_ratio: float | None = None
     accept_share_times_ratio: float | None = None
     accept_strength: float | None = None
+    accept_lead_over_chance: float | None = None
+    accept_held_out_ratio: float | None = None
+    accept_misfit: float | None = None
+    accept_deviation_from_known: float | None = None
     reject_inlier_share: float | None = None
     reject_ambiguity_ratio: float | None = None
 
@@ -242,6 +267,15 @@ class Config:
         Seed of all random numbers, 0 to 2⁶⁴ - 1.
     n_threads : int, optional
         At least 1; the machine's where not given. Never changes the result.
+    dof : {4, 6, 7}, optional
+        Degrees of freedom: a turn about z and a shift, both clouds being levelled; any rotation and a shift;
+        a scale as well. Paper mode knows 6 only.
+    known : Observations
+        What is known of the pose beforehand (robust mode).
+    scale_bounds : (float, float), optional
+        By what the source may have to be multiplied with ``dof=7``, least and most, above 0.
+    source_crop_m, target_crop_m : ((float, float, float), (float, float, float)), optional
+        Lower and upper corner of the box whose points take part in finding the pose; all where not given.
     outliers, voxel, keypoints, coarse, paper, icp, verdict, fuse
         The options of the stages.
 
@@ -257,6 +291,11 @@ class Config:
     mode: Mode | None = None
     seed: int | None = None
     n_threads: int | None = None
+    dof: DegreesOfFreedom | None = None
+    known: Observations = _NOTHING_KNOWN
+    scale_bounds: tuple[float, float] | None = None
+    source_crop_m: Corners | None = None
+    target_crop_m: Corners | None = None
     outliers: OutlierOptions = OutlierOptions()
     voxel: VoxelOptions = VoxelOptions()
     keypoints: IssOptions = IssOptions()
@@ -323,8 +362,15 @@ def default_config() -> dict[str, Any]:
     return settings
 
 
-def config_json(config: ConfigLike | None, *, mode: Mode | None = None, seed: int | None = None) -> str:
-    """Return checked settings as JSON; `mode` and `seed` win where they are given.
+def config_json(config: ConfigLike | None, **given: Any) -> str:
+    """Return checked settings as JSON; those of `given` that are not None win.
+
+    Parameters
+    ----------
+    config : ConfigLike, optional
+        Settings of all kinds.
+    **given
+        By key, a key within a section as ``coarse__max_seconds``.
 
     Raises
     ------
@@ -343,10 +389,18 @@ def config_json(config: ConfigLike | None, *, mode: Mode | None = None, seed: in
         raise InvalidArgumentError(
             f"config must be a Config, a mapping or the path of a TOML file, got {type(config).__name__}"
         )
-    if mode is not None:
-        settings["mode"] = checked_choice("mode", mode, get_args(Mode))
-    if seed is not None:
-        settings["seed"] = checked_seed(seed)
+    if given.get("mode") is not None:
+        checked_choice("mode", given["mode"], get_args(Mode))
+    if given.get("seed") is not None:
+        given["seed"] = checked_seed(given["seed"])
+    for place, value in given.items():
+        if value is None:
+            continue
+        section, _, key = place.rpartition("__")
+        if not section:
+            settings[key] = value
+        elif isinstance(settings.get(section, {}), Mapping):  # the core refuses anything else
+            settings[section] = {**settings.get(section, {}), key: value}
     return _core.complete_config(_to_json(settings))
 
 
@@ -361,6 +415,8 @@ def _to_json(settings: Mapping[str, Any]) -> str:
             return value.tolist()
         if isinstance(value, Mapping):
             return dict(value)
+        if is_dataclass(value) and not isinstance(value, type):
+            return _given(value)
         raise TypeError(f"a setting cannot be of type {type(value).__name__}")
 
     try:
@@ -376,18 +432,24 @@ def _given(options: Any) -> dict[str, Any]:
         if is_dataclass(value):
             value = _given(value) or None
         if value is not None:
-            settings[field.name] = list(value) if isinstance(value, tuple) else value
+            settings[field.name] = _as_lists(value)
     return settings
+
+
+def _as_lists(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_given(item) if is_dataclass(item) else _as_lists(item) for item in value]
+    return value
 
 
 def _filled(section: type[_Section], settings: Mapping[str, Any]) -> _Section:
     values: dict[str, Any] = {}
     for field in fields(section):  # type: ignore[arg-type]
         value = settings.get(field.name)
-        if isinstance(value, Mapping):
+        if isinstance(field.default, Observations):
+            value = Observations.from_dict(value or {})
+        elif isinstance(value, Mapping):
             value = _filled(type(field.default), value)
-        elif isinstance(value, (list, np.ndarray)):
-            value = tuple(value)
         if value is not None:
-            values[field.name] = value
+            values[field.name] = as_tuples(value)
     return section(**values)

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from tmchho.arguments import checked_array, checked_number
-from tmchho.config import options_json
-from tmchho.errors import InvalidArgumentError
+from tmchho.errors import InvalidArgumentError, ReadError
+
+COLUMNS = ("source_x", "source_y", "source_z", "target_x", "target_y", "target_z", "sigma")
 
 
-@dataclass(frozen=True, eq=False)
-class PosePrior:
+class _Tuples:
+    """Keeps what a dataclass was given as tuples, so that it can be compared and nobody changes it."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):  # type: ignore[arg-type]
+            object.__setattr__(self, field.name, as_tuples(getattr(self, field.name)))
+
+
+@dataclass(frozen=True)
+class PosePrior(_Tuples):
     """A pose that is known with some uncertainty, such as that of a GNSS receiver on a levelled tripod.
 
     Either the standard deviations or the covariance; what is None is not known. A scale is never prior
@@ -41,8 +55,8 @@ class PosePrior:
     about: ArrayLike | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class ControlPoint:
+@dataclass(frozen=True)
+class ControlPoint(_Tuples):
     """One place that was measured in both clouds.
 
     Parameters
@@ -67,36 +81,145 @@ _SHAPES: dict[str, tuple[int, ...]] = {
 }
 
 
-def observations_json(prior: PosePrior | None, control_points: Sequence[ControlPoint] | None) -> str:
-    """Return the observations in the form that the core reads.
+@dataclass(frozen=True)
+class Observations:
+    """All that is known of a pose; each entry pulls as much as it is certain.
+
+    Parameters
+    ----------
+    prior : PosePrior, optional
+        A pose that is known roughly; in a file a section with the fields of `PosePrior`.
+    control_points : sequence of ControlPoint, optional
+        Places measured in both clouds, each with source, target and sigma_m. Three of them that are not on a
+        line are a pose by themselves.
 
     Raises
     ------
     InvalidArgumentError
         Naming what is not an observation or has the wrong shape.
     """
-    if prior is not None and not isinstance(prior, PosePrior):
-        raise InvalidArgumentError(f"prior must be a PosePrior, got {type(prior).__name__}")
-    points: list[dict[str, Any]] = []
-    for i, point in enumerate(control_points or ()):
-        name = f"control_points[{i}]"
-        if not isinstance(point, ControlPoint):
-            raise InvalidArgumentError(f"{name} must be a ControlPoint, got {type(point).__name__}")
-        points.append(
-            {
-                "source": checked_array(f"{name}.source", point.source, (3,)),
-                "target": checked_array(f"{name}.target", point.target, (3,)),
-                "sigma_m": checked_number(f"{name}.sigma_m", point.sigma_m),
-            }
+
+    prior: PosePrior | None = None
+    control_points: Sequence[ControlPoint] | None = None
+
+    def __post_init__(self) -> None:
+        """Check kinds and shapes; what cannot be weighed is refused by the core."""
+        if self.prior is not None:
+            if not isinstance(self.prior, PosePrior):
+                raise InvalidArgumentError(f"prior must be a PosePrior, got {type(self.prior).__name__}")
+            for name, shape in _SHAPES.items():
+                if (value := getattr(self.prior, name)) is not None:
+                    checked_array(f"prior.{name}", value, shape)
+        if self.control_points is None:
+            return
+        if not isinstance(self.control_points, Sequence):
+            raise InvalidArgumentError(
+                f"control_points must be a sequence of ControlPoint, got {type(self.control_points).__name__}"
+            )
+        object.__setattr__(self, "control_points", tuple(self.control_points))
+        for i, point in enumerate(self.control_points):
+            name = f"control_points[{i}]"
+            if not isinstance(point, ControlPoint):
+                raise InvalidArgumentError(f"{name} must be a ControlPoint, got {type(point).__name__}")
+            checked_array(f"{name}.source", point.source, (3,))
+            checked_array(f"{name}.target", point.target, (3,))
+            checked_number(f"{name}.sigma_m", point.sigma_m)
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> Observations:
+        """Read what the core has accepted as the section `known` of a configuration."""
+        prior, points = settings.get("prior"), settings.get("control_points")
+        return cls(
+            None if prior is None else PosePrior(**prior),
+            None if points is None else tuple(ControlPoint(**point) for point in points),
         )
-    known = {} if prior is None else {"prior": _prior(prior)}
-    return options_json(control_points=points, **known)
 
 
-def _prior(prior: PosePrior) -> dict[str, Any]:
-    given = {name: getattr(prior, name) for name in _SHAPES}
-    return {
-        name: checked_array(f"prior.{name}", value, _SHAPES[name])
-        for name, value in given.items()
-        if value is not None
-    }
+def read_control_points(path: str | os.PathLike[str]) -> tuple[ControlPoint, ...]:
+    """Read control points from a text file, one a line.
+
+    Parameters
+    ----------
+    path : str or path
+        Seven numbers a line, separated by commas, semicolons, tabs or blanks: x, y, z in the source, x, y, z
+        in the target, and the standard deviation of their difference. A first line of words names the
+        columns, which may then stand in any order and beside others: source_x, source_y, source_z, target_x,
+        target_y, target_z, sigma. Lines that are empty or begin with # do not count.
+
+    Returns
+    -------
+    tuple of ControlPoint
+
+    Raises
+    ------
+    ReadError
+        Naming the file, and the line where there is one.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ReadError(
+            f"{path}: cannot be read ({error.strerror}); check the name and the rights"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ReadError(f"{path}: is not a text file; give seven numbers a line") from error
+    rows = _rows(text)
+    first = next(rows, None)
+    if first is None:
+        raise ReadError(f"{path}: holds no control points; give one a line: {', '.join(COLUMNS)}")
+    places, header = list(range(len(COLUMNS))), first[1]
+    if all(_number(cell) is None for cell in header):
+        names = [cell.lower() for cell in header]
+        missing = [column for column in COLUMNS if names.count(column) != 1]
+        if missing:
+            raise ReadError(f"{path}, line {first[0]}: has no one column called {', '.join(missing)}")
+        places, width = [names.index(column) for column in COLUMNS], len(names)
+    else:
+        rows, width = _rows(text), len(COLUMNS)
+    points = tuple(_control_point(f"{path}, line {line}", cells, places, width) for line, cells in rows)
+    if not points:
+        raise ReadError(f"{path}: holds no control points, only the names of the columns")
+    return points
+
+
+def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
+    """Give every line that counts with its number, cut where the first of them shows how."""
+    separator = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        line = line.strip()
+        if not line or line.startswith("#"):
+            continue
+        if separator is None:
+            separator = next((mark for mark in ";\t," if mark in line), r"\s+")
+        yield number, [cell.strip(" \"'") for cell in re.split(separator, line)]
+
+
+def _control_point(where: str, cells: list[str], places: list[int], width: int) -> ControlPoint:
+    if len(cells) != width:
+        raise ReadError(f"{where}: has {len(cells)} values where {width} are expected")
+    values = []
+    for place, column in zip(places, COLUMNS, strict=True):
+        value = _number(cells[place])
+        if value is None or not math.isfinite(value):
+            raise ReadError(f"{where}: {column} must be a finite number, got {cells[place]!r}")
+        values.append(value)
+    if values[6] <= 0:
+        raise ReadError(f"{where}: sigma must be above 0, got {values[6]:g}")
+    return ControlPoint(values[:3], values[3:6], values[6])
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
+
+
+def as_tuples(value: Any) -> Any:
+    """Return arrays and lists as tuples of plain numbers, everything else as it is."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return as_tuples(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return tuple(as_tuples(item) for item in value)
+    return value

@@ -254,19 +254,21 @@ def euler_deg(matrix: ArrayLike) -> list[float]:
     Parameters
     ----------
     matrix : (4, 4) array_like
-        A rigid transform.
+        A rigid transform, or one with a scale, which is left out.
 
     Notes
     -----
     Ren, Zhao & Han (2023), Eq. (1): the rotation is the transpose of Rz(θz)·Ry(θy)·Rx(θx). Where θy is
     ±90°, θx and θz turn about the same axis; the whole turn is then given as θx.
     """
-    return [math.degrees(angle) for angle in matrix_to_euler(_as_matrix(matrix))[:3]]
+    unscaled = np.eye(4)
+    unscaled[:3, :3] = _rotation(matrix)
+    return [math.degrees(angle) for angle in matrix_to_euler(unscaled)[:3]]
 
 
 def quaternion_wxyz(matrix: ArrayLike) -> list[float]:
-    """Return the rotation of a rigid 4 × 4 transform as a unit quaternion (w, x, y, z), w ≥ 0."""
-    r = _as_matrix(matrix)[:3, :3]
+    """Return the rotation of a 4 × 4 transform, its scale left out, as a quaternion (w, x, y, z), w ≥ 0."""
+    r = _rotation(matrix)
     # Four times each product of two components; the row of the largest component loses no digits.
     products = np.empty((4, 4))
     products[0] = 1 + np.trace(r), r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
@@ -276,6 +278,11 @@ def quaternion_wxyz(matrix: ArrayLike) -> list[float]:
     row = products[int(np.argmax(np.diag(products)))]
     unit = row / np.linalg.norm(row)
     return [float(value) + 0.0 for value in (unit if unit[0] >= 0 else -unit)]
+
+
+def _rotation(matrix: ArrayLike) -> NDArray[np.float64]:
+    part = _as_matrix(matrix)[:3, :3]
+    return np.asarray(part / np.cbrt(np.linalg.det(part)))
 
 
 def result_document(
@@ -311,6 +318,7 @@ def result_document(
     document |= {
         "transformation_as": {
             "pdal": pdal_text(matrix),
+            "scale": registration.scale,
             "euler_deg": euler_deg(matrix),
             "quaternion_wxyz": quaternion_wxyz(matrix),
         },

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -10,10 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from tmchho import _core
 from tmchho.arguments import checked_array, checked_choice, checked_number
-from tmchho.config import ConfigLike, Mode, config_json, options_json
+from tmchho.config import ConfigLike, DegreesOfFreedom, Mode, config_json, options_json
 from tmchho.errors import InvalidArgumentError
 from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike, naming, open_cloud
+from tmchho.observations import ControlPoint, Observations, PosePrior
 from tmchho.progress import ProgressCallback, listener
 from tmchho.results import DistanceStatistics, Evaluation, Registration
 
@@ -24,6 +26,12 @@ def register(
     *,
     mode: Mode | None = None,
     seed: int | None = None,
+    dof: DegreesOfFreedom | None = None,
+    prior: PosePrior | None = None,
+    control_points: Sequence[ControlPoint] | None = None,
+    source_crop: ArrayLike | None = None,
+    target_crop: ArrayLike | None = None,
+    max_seconds: float | None = None,
     config: ConfigLike | None = None,
     progress: ProgressCallback | None = None,
 ) -> Registration:
@@ -32,15 +40,30 @@ def register(
     Parameters
     ----------
     source, target : CloudLike
-        The cloud that moves and the one that stays, in the same length unit: a path, a `PointCloud`, or
-        (n, 3) real numbers. Points with NaN or infinite coordinates are left out and counted. The arrays are
-        not modified, and must not be by other threads during the call.
+        The cloud that moves and the one that stays, in the same length unit unless ``dof=7``: a path, a
+        `PointCloud`, or (n, 3) real numbers. Points with NaN or infinite coordinates are left out and
+        counted. The arrays are not modified, and must not be by other threads during the call.
     mode : {'robust', 'paper'}, optional
         Which search is run: many starts verified in both directions, or the paper's method, plain. Where not
         given, what `config` says, else ``'robust'``.
     seed : int, optional
         Seed of all random numbers, 0 to 2⁶⁴ - 1: the same input and seed give the same result, at any number
         of threads. Where not given, what `config` says, else 0.
+    dof : {4, 6, 7}, optional
+        Degrees of freedom. 4: a turn about z and a shift, because both clouds are levelled with z up. 6: any
+        rotation and a shift. 7: a scale as well, because one of the clouds has no known scale; it is sought
+        within ``scale_bounds`` of the configuration. Where not given, what `config` says, else 6.
+    prior : PosePrior, optional
+        A pose that is known roughly. It settles what the clouds leave open, and a pose that contradicts it is
+        not accepted.
+    control_points : sequence of ControlPoint, optional
+        Places measured in both clouds, to the same use.
+    source_crop, target_crop : (2, 3) array_like, optional
+        Lower and upper corner of a box, in the coordinates of the cloud as given: only points in it take part
+        in finding the pose. Distances, overlap and fusion are of all points still.
+    max_seconds : float, optional
+        Time after which the search hands over the best pose so far, above 0; no limit where not given. The
+        stages after it add a little. What is found then depends on the machine.
     config : Config, mapping or path of a TOML file, optional
         All other settings; see `Config` and `default_config`.
     progress : callable, optional
@@ -79,7 +102,18 @@ def register(
     >>> found.verdict, bool(np.abs(found.apply(source) - target).max() < 1e-3)
     ('accepted', True)
     """
-    settings = config_json(config, mode=mode, seed=seed)
+    known = Observations(prior, control_points)
+    settings = config_json(
+        config,
+        mode=mode,
+        seed=seed,
+        dof=dof,
+        known__prior=known.prior,
+        known__control_points=known.control_points,
+        source_crop_m=_corners("source_crop", source_crop),
+        target_crop_m=_corners("target_crop", target_crop),
+        coarse__max_seconds=None if max_seconds is None else checked_number("max_seconds", max_seconds),
+    )
     tell = listener(progress)
     source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
     began = time.perf_counter()
@@ -107,7 +141,8 @@ def evaluate(
     source, target : CloudLike
         At least one finite point each; see `register`.
     transformation : Registration or (4, 4) array_like, optional
-        Takes source to target coordinates. Where not given, the clouds are measured as they lie.
+        Takes source to target coordinates; may contain a scale. Where not given, the clouds are measured as
+        they lie. All distances are in the unit of the target.
     tolerance : float, optional
         Also count the points whose distance does not exceed this.
 
@@ -120,7 +155,7 @@ def evaluate(
     ReadError, InvalidCloudError
         If a path cannot be read, or a cloud has no finite point.
     InvalidArgumentError
-        If the transformation is not rigid or the tolerance is negative.
+        If the transformation is not rigid, apart from a scale, or the tolerance is negative.
 
     Notes
     -----
@@ -164,7 +199,7 @@ def fuse(
     source, target : CloudLike
         At least one finite point each; see `register`.
     transformation : Registration or (4, 4) array_like
-        Takes source to target coordinates.
+        Takes source to target coordinates; may contain a scale.
     mode : {'merge', 'fill_holes'}, optional
         Take all points of the source (``'merge'``, where not given), or only those that fill a hole of the
         target. The target is always kept whole.
@@ -204,6 +239,10 @@ def fuse(
     with naming(source_cloud, target_cloud):
         fused = _core.fuse(source_cloud.xyz, target_cloud.xyz, matrix, options_json(**options))
     return FusedCloud(**fused)
+
+
+def _corners(name: str, corners: ArrayLike | None) -> NDArray[np.float64] | None:
+    return None if corners is None else checked_array(name, corners, (2, 3))
 
 
 def _matrix(transformation: Registration | ArrayLike | None) -> NDArray[np.float64]:

@@ -105,7 +105,10 @@ class Registration(ReadOnlyArrays):
     Parameters
     ----------
     transformation : (4, 4) float64 array
-        Takes source coordinates to target coordinates, both as given: ``q = T[:3, :3] @ p + T[:3, 3]``.
+        Takes source coordinates to target coordinates, both as given: ``q = T[:3, :3] @ p + T[:3, 3]``. Its
+        3 × 3 part is the rotation, times `scale` with ``dof=7``.
+    scale : float
+        Length in the target of what is one unit long in the source; 1 unless ``dof=7``.
     verdict : {'accepted', 'review', 'rejected'}
         The data support this pose and no other; a person has to look; the data do not support it.
     reasons : tuple of str
@@ -114,8 +117,10 @@ class Registration(ReadOnlyArrays):
         Source voxels with a partner within `max_distance`, by all source voxels.
     inlier_rmse : float
         Root mean squared distance of those pairs.
+    inlier_rmse_back : float
+        The same of the target voxels with a partner in the source.
     n_inliers : int
-        Number of those pairs.
+        Number of source voxels with a partner.
     overlap_of_source, overlap_of_target : float
         Share of the points of the one cloud, at full density, within `max_distance` of the other.
     inlier_share : float
@@ -126,6 +131,30 @@ class Registration(ReadOnlyArrays):
         How firmly the weakest direction is held: 0 (slides freely) to about 1/6.
     weakest_direction : str
         That direction in words.
+    lead_over_chance : float
+        Score of the best pose by the best that a few random poses reach; NaN in paper mode.
+    held_out_ratio : float
+        Root mean squared distance of pairs that were held out of the fit by that of others: near 1 unless the
+        fit follows chance. NaN where there are too few.
+    misfit : float
+        How far the surfaces lie apart, by how rough they are themselves: below 1 for one surface measured
+        twice, larger for places that resemble each other. NaN where there are too few pairs.
+    registration_error : float or None
+        The 1σ displacement of a point by the errors of the pose, in the unit of the target: in all directions
+        together, root mean square over the overlap. It is the term "reg" of the level of detection of M3C2,
+        1.96·(√(σ₁²/n₁ + σ₂²/n₂) + reg); along one direction it is smaller, by 1/√3 where all are alike. About
+        the radius of the overlap where the common surface leaves a direction open. None where the pairs are
+        too few to tell, or ICP found nothing better than the coarse pose. Errors that both clouds share,
+        such as a wrong scale bar, do not show.
+    scale_standard_error : float or None
+        Standard error of the scale, relative to it; None unless ``dof=7``.
+    covariance : (7, 7) float64 array or None
+        Of the rotation about the axes of the target (rad), the shift of `covariance_middle`, and the
+        logarithm of the scale; rows of zeros for what was not free. None where `registration_error` is.
+    covariance_middle : (3,) float64 array or None
+        The place in the target, near the middle of the pairs, about which the covariance is stated.
+    ended_early : bool
+        Whether the time was up before the search was done.
     candidates : tuple of Candidate
         The best poses found, best first, before ICP.
     n_evaluations : int
@@ -134,7 +163,7 @@ class Registration(ReadOnlyArrays):
         Best score of the search so far, step by step; in paper mode the RMS of Eq. (1).
     converged : bool
         Whether ICP came to rest.
-    icp_stop_reason : {'converged', 'max_iterations', 'no_partners'}
+    icp_stop_reason : {'converged', 'max_iterations', 'no_partners', 'scale_ran_away'}
         Why ICP ended.
     n_icp_iterations : int
         Iterations of ICP.
@@ -143,8 +172,8 @@ class Registration(ReadOnlyArrays):
     source_pivot, target_pivot : (3,) float64 array
         Centroids of the clouds.
     pivot_transformation : (4, 4) float64 array
-        The same pose about the pivots: ``q = R @ (p - source_pivot) + t + target_pivot``. Small numbers, of
-        which nothing is lost as text even at national-grid coordinates.
+        The same pose about the pivots: ``q = T[:3, :3] @ (p - source_pivot) + T[:3, 3] + target_pivot``.
+        Small numbers, of which nothing is lost as text even at national-grid coordinates.
     source_to_target, target_to_source : DistanceStatistics
         Distances from every point of the one cloud to the other, at full density.
     n_non_finite : tuple of int
@@ -156,7 +185,8 @@ class Registration(ReadOnlyArrays):
     max_distance : float
         Distance within which a partner supports the pose.
     stages : tuple of StageRecord
-        What each stage did.
+        What each stage did; with ``dof=7`` voxel and coarse come once for each scale that was tried, and
+        voxel once more.
     seconds : float
         Wall time of the call, reading files not counted.
     mode : {'robust', 'paper'}
@@ -172,10 +202,12 @@ class Registration(ReadOnlyArrays):
     """
 
     transformation: NDArray[np.float64]
+    scale: float
     verdict: Verdict
     reasons: tuple[str, ...]
     fitness: float
     inlier_rmse: float
+    inlier_rmse_back: float
     n_inliers: int
     overlap_of_source: float
     overlap_of_target: float
@@ -183,6 +215,14 @@ class Registration(ReadOnlyArrays):
     ambiguity_ratio: float
     strength: float
     weakest_direction: str
+    lead_over_chance: float
+    held_out_ratio: float
+    misfit: float
+    registration_error: float | None
+    scale_standard_error: float | None
+    covariance: NDArray[np.float64] | None
+    covariance_middle: NDArray[np.float64] | None
+    ended_early: bool
     candidates: tuple[Candidate, ...]
     n_evaluations: int
     history: NDArray[np.float64]
@@ -269,25 +309,38 @@ class Registration(ReadOnlyArrays):
         turn_deg = math.degrees(_rotation_angle_rad(self.transformation))
         # Where the middle of the source goes; the matrix's own shift is that of a far-away origin.
         shift = np.linalg.norm(self.pivot_transformation[:3, 3] + self.target_pivot - self.source_pivot)
-        n_voxels = next(stage.n_source_out for stage in self.stages if stage.name == "voxel")
+        n_voxels = [stage.n_source_out for stage in self.stages if stage.name == "voxel"][-1]
         forth, back = self.source_to_target, self.target_to_source
-        return "\n".join(
-            [
-                f"{self.verdict}: {'; '.join(self.reasons)}",
-                f"source     {self.source_name} ({first.n_source_in:,} points)",
-                f"target     {self.target_name} ({first.n_target_in:,} points)",
-                f"pose       turned by {turn_deg:.4f}°, its middle moved by {shift:.4f}",
-                f"overlap    {self.overlap_of_source:.1%} of the source, {self.overlap_of_target:.1%} of the"
-                f" target within {self.max_distance:.4g}",
-                f"fit        {self.inlier_rmse:.4g} RMS of {self.n_inliers:,} of {n_voxels:,} voxels"
-                f" of edge {self.voxel_size:.4g}",
-                f"held       {self.strength:.3f} in the weakest direction, {self.weakest_direction}",
-                f"distances  source to target: median {forth.median:.4g}, 95 % below"
-                f" {forth.percentile_95:.4g};"
-                f" target to source: median {back.median:.4g}, 95 % below {back.percentile_95:.4g}",
-                f"took       {self.seconds:.1f} s, seed {self.seed}, {self.mode} mode",
-            ]
-        )
+        lines = [
+            f"{self.verdict}: " + "\n".join([self.reasons[0], *(f"    and {r}" for r in self.reasons[1:])]),
+            f"source     {self.source_name} ({first.n_source_in:,} points)",
+            f"target     {self.target_name} ({first.n_target_in:,} points)",
+            f"pose       turned by {turn_deg:.4f}°, its middle moved by {shift:.4f}",
+        ]
+        if self.config["dof"] == 7:
+            error = self.scale_standard_error
+            doubt = "not known" if error is None else f"{error * self.scale:.2g}"
+            lines.append(f"scale      {self.scale:.8g} (standard error {doubt})")
+        error = self.registration_error
+        accuracy = "1σ displacement of a point by the errors of the pose"
+        accuracy = "not known" if error is None else f"{error:.2g} ({accuracy})"
+        misfit = f"the surfaces lie {self.misfit:.2f} times as far apart as they are rough themselves"
+        misfit = "not known" if math.isnan(self.misfit) else misfit
+        lines += [
+            f"accuracy   {accuracy}",
+            f"overlap    {self.overlap_of_source:.1%} of the source, {self.overlap_of_target:.1%} of the"
+            f" target within {self.max_distance:.4g}",
+            f"fit        {self.inlier_rmse:.4g} RMS of {self.n_inliers:,} of {n_voxels:,} voxels"
+            f" of edge {self.voxel_size:.4g}",
+            f"misfit     {misfit}",
+            f"held       {self.strength:.3f} in the weakest direction, {self.weakest_direction}",
+            f"distances  source to target: median {forth.median:.4g}, 95 % below"
+            f" {forth.percentile_95:.4g};"
+            f" target to source: median {back.median:.4g}, 95 % below {back.percentile_95:.4g}",
+            f"took       {self.seconds:.1f} s, seed {self.seed}, {self.mode} mode"
+            + (", ended before the search was done" if self.ended_early else ""),
+        ]
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,4 +388,6 @@ def plain(value: Any) -> Any:
 def _rotation_angle_rad(matrix: NDArray[np.float64]) -> float:
     # Accurate near 0 and near π, where the arc cosine of the trace is not.
     axis = (matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1])
-    return math.atan2(math.hypot(*axis), float(np.trace(matrix[:3, :3])) - 1.0)
+    # A scale multiplies both, but for the 1, which is then the scale.
+    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    return math.atan2(math.hypot(*axis), float(np.trace(matrix[:3, :3])) - scale)

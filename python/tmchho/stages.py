@@ -18,7 +18,7 @@ from tmchho import _core
 from tmchho.arguments import checked_array, checked_choice, checked_count, checked_number
 from tmchho.config import options_json
 from tmchho.inputs import CloudLike, open_points
-from tmchho.observations import ControlPoint, PosePrior, observations_json
+from tmchho.observations import ControlPoint, Observations, PosePrior
 from tmchho.results import ReadOnlyArrays
 
 
@@ -80,7 +80,7 @@ class IcpResult(ReadOnlyArrays):
         Mean squared distance at each iteration: of points, after its step, for point-to-point; across
         planes, as the kernel weighs it, before its step, otherwise.
     scale : float
-        Length in the target of what is one unit long in the source; 1 unless ``dof=7``.
+        Length in the target of what is one unit long in the source; that of `init` unless ``dof=7``.
     registration_error : float or None
         The 1σ displacement of a point by the errors of the pose: in all directions together, root mean
         square over the overlap. It is the term "reg" of the level of detection of M3C2. About the radius of
@@ -342,7 +342,7 @@ def icp(
     source, target : CloudLike
         (n, 3) and (m, 3), finite.
     init : (4, 4) array_like, optional
-        The pose to start from; where not given, the clouds as they lie.
+        The pose to start from, whose scale is kept unless ``dof=7``; where not given, the clouds as they lie.
     dof : {4, 6, 7}
         What is free: a turn about z and a shift (both clouds are levelled; a tilt of `init` is kept), any
         rotation and a shift, or a scale as well.
@@ -392,8 +392,9 @@ def icp(
     )
     start = np.eye(4) if init is None else checked_array("init", init, (4, 4))
     clouds = open_points(source, "source", finite=True), open_points(target, "target", finite=True)
-    known = observations_json(prior, control_points)
-    return IcpResult(**_core.icp(*clouds, start, checked_count("dof", dof, 4, 7), known, options))
+    known = Observations(prior, control_points)
+    observations = options_json(prior=known.prior, control_points=known.control_points)
+    return IcpResult(**_core.icp(*clouds, start, checked_count("dof", dof, 4, 7), observations, options))
 
 
 def _number(name: str, value: float | None) -> float | None:

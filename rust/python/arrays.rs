@@ -24,8 +24,17 @@ pub(super) fn points<'a>(array: &'a ReadArray<'_>) -> PyResult<&'a [Point]> {
     rows(array)
 }
 
-/// The pose of a (4, 4) array.
-pub(super) fn pose(array: &ReadArray<'_>) -> PyResult<Rigid> {
+/// The pose of a (4, 4) array, with a scale or without.
+pub(super) fn pose(array: &ReadArray<'_>) -> PyResult<Similarity> {
+    Ok(Similarity::from_matrix4(matrix4(array)?)?)
+}
+
+/// The pose of a (4, 4) array, which must have no scale.
+pub(super) fn rigid_pose(array: &ReadArray<'_>) -> PyResult<Rigid> {
+    Ok(Rigid::from_matrix4(matrix4(array)?)?)
+}
+
+fn matrix4<'a>(array: &'a ReadArray<'_>) -> PyResult<&'a [[f64; 4]; 4]> {
     let rows: &[[f64; 4]] = rows(array)?;
     let matrix = rows.try_into().map_err(|_| {
         Error::argument(
@@ -33,7 +42,7 @@ pub(super) fn pose(array: &ReadArray<'_>) -> PyResult<Rigid> {
             format!("has {} rows of four numbers", rows.len()),
         )
     })?;
-    Ok(Rigid::from_matrix4(matrix)?)
+    Ok(matrix)
 }
 
 fn rows<'a, const N: usize>(array: &'a ReadArray<'_>) -> PyResult<&'a [[f64; N]]> {

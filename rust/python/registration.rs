@@ -49,8 +49,8 @@ fn registration(py: Python<'_>, found: Registration) -> PyResult<Bound<'_, PyDic
     }
     let uncertainty = found.uncertainty.as_ref();
     Ok(dict! { py,
-        "transformation": from_pose(py, &found.target_from_source),
-        "pivot_transformation": from_pose(py, &found.about_pivots),
+        "transformation": from_pose(py, found.target_from_source),
+        "pivot_transformation": from_pose(py, found.about_pivots),
         "source_pivot": from_vec(py, found.source_pivot.to_vec()),
         "target_pivot": from_vec(py, found.target_pivot.to_vec()),
         "verdict": found.verdict.name(),
@@ -122,7 +122,7 @@ pub(super) fn evaluate<'py>(
     let (source, target) = (points(&source)?, points(&target)?);
     let target_from_source = briefly(|| pose(&transformation))?;
     let directions = with_progress(py, None, |progress| {
-        let found = pipeline::evaluate(source, target, &target_from_source, progress)?;
+        let found = pipeline::evaluate(source, target, target_from_source, progress)?;
         let directions = [
             (source, found.source_to_target_m),
             (target, found.target_to_source_m),
@@ -164,7 +164,7 @@ pub(super) fn fuse<'py>(
     let target_from_source = briefly(|| pose(&transformation))?;
     let options = briefly(|| Ok(options(options_json)?))?;
     let fused = with_progress(py, None, |progress| {
-        pipeline::fuse_clouds(source, target, &target_from_source, &options, progress)
+        pipeline::fuse_clouds(source, target, target_from_source, &options, progress)
             .map_err(as_argument)
     })?;
     briefly(|| {

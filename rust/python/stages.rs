@@ -8,6 +8,7 @@ use pyo3::types::PyDict;
 
 use super::arrays::{
     ReadArray, dict, for_given_rows, from_points, from_pose, from_rows, from_vec, points, pose,
+    rigid_pose,
 };
 use super::config::{options, word};
 use super::errors::as_argument;
@@ -22,7 +23,6 @@ use crate::normals::{self, Surface};
 use crate::observations::Observations;
 use crate::outlier::{self, OutlierOptions};
 use crate::rigid::Rigid;
-use crate::similarity::Similarity;
 use crate::surface_cloud::N_NORMAL_NEIGHBORS;
 use crate::voxel::{self, VoxelOptions};
 use crate::{evaluate, fitness, kabsch as closed_form, spacing};
@@ -139,7 +139,7 @@ pub(super) fn icp<'py>(
     options_json: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (source, target) = (points(&source)?, points(&target)?);
-    let start = Similarity::from(briefly(|| pose(&start))?);
+    let start = briefly(|| pose(&start))?;
     let freedom = briefly(|| Ok(Freedom::from_dof(dof)?))?;
     let observations: Observations = briefly(|| Ok(options(observations_json)?))?;
     let options: IcpOptions = briefly(|| Ok(options(options_json)?))?;
@@ -173,12 +173,7 @@ pub(super) fn icp<'py>(
     })?;
     briefly(|| {
         let uncertainty = found.uncertainty.as_ref();
-        let covariance = uncertainty.map(|u| {
-            let c = &u.covariance;
-            let rows: [[f64; 7]; 7] =
-                std::array::from_fn(|r| std::array::from_fn(|column| c[(r, column)]));
-            from_rows(py, &rows)
-        });
+        let covariance = uncertainty.map(|u| from_rows(py, &u.covariance.transpose().data.0));
         Ok(dict! { py,
             "transformation": from_rows(py, &found.target_from_source.to_matrix4()),
             "scale": found.target_from_source.scale,
@@ -223,7 +218,7 @@ pub(super) fn kabsch<'py>(
             needed: 1,
         })
     })?;
-    briefly(|| Ok(from_pose(py, &found)))
+    briefly(|| Ok(from_pose(py, found)))
 }
 
 /// The RMS of Eq. (1) at the six parameters.
@@ -277,7 +272,7 @@ pub(super) fn median_spacing<'py>(py: Python<'py>, array: ReadArray<'py>) -> PyR
 /// The (4, 4) matrix of Eq. (1).
 #[pyfunction]
 pub(super) fn euler_to_matrix(py: Python<'_>, parameters: [f64; 6]) -> PyResult<Bound<'_, PyAny>> {
-    briefly(|| Ok(from_pose(py, &pose_of(parameters))))
+    briefly(|| Ok(from_pose(py, pose_of(parameters))))
 }
 
 /// The six parameters of Eq. (1) of a (4, 4) matrix.
@@ -287,7 +282,7 @@ pub(super) fn matrix_to_euler<'py>(
     matrix: ReadArray<'py>,
 ) -> PyResult<Bound<'py, PyAny>> {
     briefly(|| {
-        let pose = pose(&matrix)?;
+        let pose = rigid_pose(&matrix)?;
         let [a, b, c] = pose.euler_rad();
         let t = pose.translation;
         Ok(from_vec(py, vec![a, b, c, t.x, t.y, t.z]))

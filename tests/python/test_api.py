@@ -387,10 +387,22 @@ def test_a_wrong_seed_is_refused(clouds: tuple[Floats, Floats], seed: Any) -> No
 # ---- measuring and fusing with a pose
 
 
-def test_a_matrix_that_is_not_rigid_is_refused(clouds: tuple[Floats, Floats]) -> None:
-    mirror, scaled, projective = np.diag([1.0, 1, -1, 1]), 2 * np.eye(4), np.eye(4)
-    projective[3, 0] = 0.1
-    for matrix in (mirror, scaled, projective, np.full((4, 4), np.nan), np.eye(3), "identity", [[1, 2], [3]]):
+def test_a_matrix_that_is_no_pose_is_refused(clouds: tuple[Floats, Floats]) -> None:
+    mirror, flat, uneven = (np.diag([1.0, 1, z, 1]) for z in (-1, 0, 2))
+    sheared, projective, weighted = np.eye(4), np.eye(4), 2 * np.eye(4)
+    sheared[0, 1] = projective[3, 0] = 0.1
+    for matrix in (
+        mirror,
+        flat,
+        uneven,
+        sheared,
+        projective,
+        weighted,
+        np.full((4, 4), np.nan),
+        np.eye(3),
+        "identity",
+        [[1, 2], [3]],
+    ):
         for use in (tmchho.evaluate, tmchho.fuse):
             with pytest.raises(errors.InvalidArgumentError, match="transformation"):
                 use(*clouds, matrix)

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from tmchho import outputs
 from tmchho.cloud import PointCloud
+from tmchho.equations import euler_to_matrix
 from tmchho.errors import ReadError, WriteError
 
 angles = st.floats(-math.pi, math.pi)
@@ -73,6 +74,15 @@ def test_euler_angles_are_those_of_equation_1(vector: tuple[float, ...]) -> None
     again = Rotation.from_euler("xyz", [theta_x, theta_y, theta_z], degrees=True).as_matrix().T
     assert np.abs(again - rotation).max() < 1e-7  # asin loses half the digits near 90°
     assert -90 <= theta_y <= 90
+
+
+@given(rotation_vectors, st.floats(1e-3, 1e3))
+def test_a_scale_is_no_part_of_the_rotation(vector: tuple[float, ...], scale: float) -> None:
+    rigid = pose(Rotation.from_rotvec(vector).as_matrix())
+    scaled = pose(scale * rigid[:3, :3])
+    assert outputs.quaternion_wxyz(scaled) == pytest.approx(outputs.quaternion_wxyz(rigid), abs=1e-6)
+    again = [euler_to_matrix([*np.radians(outputs.euler_deg(m)), 0, 0, 0]) for m in (scaled, rigid)]
+    assert np.abs(again[0] - again[1]).max() < 1e-7
 
 
 @pytest.mark.parametrize("theta_y", [90.0, -90.0])

@@ -28,6 +28,26 @@ def output_option(**settings: Any) -> Callable[[_Command], _Command]:
     )
 
 
+def corners(
+    _context: click.Context, _option: click.Parameter, value: str | None
+) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+    """Read an option whose value is the lower and the upper corner of a box: six numbers and commas."""
+    if value is None:
+        return None
+    try:
+        numbers = tuple(float(word) for word in value.split(","))
+    except ValueError:
+        numbers = ()
+    low, high = numbers[:3], numbers[3:]
+    if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+        raise click.BadParameter(f"must be six numbers with commas between them, got {value!r}")
+    if not all(least < most for least, most in zip(low, high, strict=True)):
+        raise click.BadParameter(
+            f"must be xmin,ymin,zmin,xmax,ymax,zmax, each min below its max, got {value}"
+        )
+    return low, high
+
+
 def positive(_context: click.Context, _option: click.Parameter, value: float | None) -> float | None:
     """Check an option whose value must be a finite number above zero."""
     if value is not None and not (math.isfinite(value) and value > 0):

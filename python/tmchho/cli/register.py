@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import math
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,14 +13,53 @@ import click
 
 from tmchho.cli.display import display
 from tmchho.cli.failures import EXIT_CODES, NOT_ACCEPTED, debug_option
-from tmchho.cli.options import PATH, json_option, output_option, overwrite_option, positive, quiet_option
+from tmchho.cli.options import (
+    PATH,
+    corners,
+    json_option,
+    output_option,
+    overwrite_option,
+    positive,
+    quiet_option,
+)
 
 if TYPE_CHECKING:
-    from tmchho import Config
+    from tmchho import Config, ControlPoint, PosePrior
     from tmchho.cli.workflow import Outcome
 
+_EXAMPLES = """\b
+Examples:
+  tmchho register uav.las tls.laz -o out
+  # both clouds are levelled
+  tmchho register uav.las tls.laz -o out --dof 4
+  # a model without a scale, and where four targets lie in both clouds
+  tmchho register model.ply tls.laz -o out --dof 7 --control-points targets.csv
+  # a pose that is known to 10 degrees and 5 metres
+  tmchho register uav.las tls.laz -o out --prior rough.txt --prior-sigma-deg 10 --prior-sigma 5
+  # only what lies in a box of the source takes part
+  tmchho register uav.las tls.laz -o out --crop-source 0,0,-5,100,80,40
 
-@click.command(short_help="Move a cloud onto another and fuse the two.", epilog=EXIT_CODES)
+"""
+
+# What the result depends on, in the order of a command that gives it again.
+_REPLAYED = (
+    "config",
+    "mode",
+    "seed",
+    "dof",
+    "prior",
+    "prior_sigma_deg",
+    "prior_sigma",
+    "control_points",
+    "crop_source",
+    "crop_target",
+    "max_seconds",
+    "voxel_size",
+    "fuse",
+)
+
+
+@click.command(short_help="Move a cloud onto another and fuse the two.", epilog=_EXAMPLES + EXIT_CODES)
 @click.argument("source", type=PATH)
 @click.argument("target", type=PATH)
 @output_option(required=True)
@@ -37,6 +79,54 @@ if TYPE_CHECKING:
     "--threads", type=click.IntRange(min=1), help="Threads; never changes the result.  [default: all]"
 )
 @click.option(
+    "--dof",
+    type=click.Choice(["4", "6", "7"]),
+    help="Degrees of freedom. 4: both clouds are levelled, z is up. 6 (default): any rotation. 7: the source "
+    "has another scale as well, within scale_bounds of --config.",
+)
+@click.option(
+    "--prior",
+    type=PATH,
+    metavar="FILE",
+    help="transform.txt or result.json that takes SOURCE to TARGET roughly; how roughly is said by the next "
+    "two, of which at least one is needed.",
+)
+@click.option(
+    "--prior-sigma-deg",
+    type=float,
+    callback=positive,
+    metavar="DEGREES",
+    help="Standard deviation of the rotation about each axis.  [default: the rotation is not known]",
+)
+@click.option(
+    "--prior-sigma",
+    type=float,
+    callback=positive,
+    metavar="LENGTH",
+    help="Standard deviation, along each axis, of where the middle of SOURCE comes to lie.  [default: the "
+    "position is not known]",
+)
+@click.option(
+    "--control-points",
+    type=PATH,
+    metavar="FILE",
+    help="Places measured in both clouds, one a line: x,y,z in SOURCE, x,y,z in TARGET, standard deviation.",
+)
+@click.option(
+    "--crop-source",
+    callback=corners,
+    metavar="BOX",
+    help="xmin,ymin,zmin,xmax,ymax,zmax: only points of SOURCE in this box take part in finding the pose.",
+)
+@click.option("--crop-target", callback=corners, metavar="BOX", help="The same for TARGET.")
+@click.option(
+    "--max-seconds",
+    type=float,
+    callback=positive,
+    metavar="SECONDS",
+    help="Take the best pose that the search has found by then; it is not accepted unless it stands out.",
+)
+@click.option(
     "--voxel-size",
     type=float,
     callback=positive,
@@ -53,18 +143,7 @@ if TYPE_CHECKING:
 @overwrite_option
 @debug_option
 def register(
-    source: Path,
-    target: Path,
-    output: Path,
-    mode: str | None,
-    seed: int | None,
-    config: Path | None,
-    threads: int | None,
-    voxel_size: float | None,
-    fuse: str | None,
-    as_json: bool,
-    quiet: bool,
-    overwrite: bool,
+    source: Path, target: Path, output: Path, as_json: bool, quiet: bool, overwrite: bool, **options: Any
 ) -> None:
     """Move SOURCE onto TARGET, fuse the two, and say how far the result can be trusted.
 
@@ -79,9 +158,9 @@ def register(
     """  # noqa: D301 (\b is for click: keep these lines as they are)
     from tmchho.cli.workflow import Job, run
 
-    settings = _settings(config, mode, seed, threads, voxel_size, fuse)
-    options = {"--config": config, "--mode": mode, "--seed": seed, "--voxel-size": voxel_size, "--fuse": fuse}
-    command = replay_command(source, target, options)
+    settings = _settings(options)
+    replayed = {f"--{name.replace('_', '-')}": _word(options[name]) for name in _REPLAYED}
+    command = replay_command(source, target, replayed)
     with display(quiet) as shown:
         outcome = run(Job(source, target, output, settings, command, overwrite), shown)
     if as_json:
@@ -124,26 +203,54 @@ def summary(outcome: Outcome) -> str:
     return "\n".join(lines)
 
 
-def _settings(
-    config: Path | None,
-    mode: str | None,
-    seed: int | None,
-    threads: int | None,
-    voxel_size: float | None,
-    fuse: str | None,
-) -> Config:
+def _settings(options: Mapping[str, Any]) -> Config:
     """Return the settings of the file with those of the options on top."""
     from tmchho import Config
+    from tmchho.config import config_json
 
-    settings = Config.from_toml(config).to_dict() if config is not None else {}
-    given = {
-        (None, "mode"): mode,
-        (None, "seed"): seed,
-        (None, "n_threads"): threads,
-        ("voxel", "voxel_size_m"): voxel_size,
-        ("fuse", "mode"): None if fuse is None else fuse.replace("-", "_"),
-    }
-    for (section, key), value in given.items():
-        if value is not None:
-            (settings if section is None else settings.setdefault(section, {}))[key] = value
-    return Config.from_dict(settings)  # checked now, before anything is read
+    fuse, dof = options["fuse"], options["dof"]
+    settings = config_json(
+        options["config"],
+        mode=options["mode"],
+        seed=options["seed"],
+        n_threads=options["threads"],
+        dof=None if dof is None else int(dof),
+        known__prior=_prior(options["prior"], options["prior_sigma_deg"], options["prior_sigma"]),
+        known__control_points=_control_points(options["control_points"]),
+        source_crop_m=options["crop_source"],
+        target_crop_m=options["crop_target"],
+        coarse__max_seconds=options["max_seconds"],
+        voxel__voxel_size_m=options["voxel_size"],
+        fuse__mode=None if fuse is None else fuse.replace("-", "_"),
+    )
+    return Config.from_dict(json.loads(settings))  # checked now, before a cloud is read
+
+
+def _prior(path: Path | None, sigma_deg: float | None, sigma: float | None) -> PosePrior | None:
+    from tmchho import PosePrior
+    from tmchho.outputs import read_matrix
+
+    if path is None:
+        if sigma_deg is not None or sigma is not None:
+            raise click.UsageError("--prior-sigma-deg and --prior-sigma belong to --prior, which is missing")
+        return None
+    if sigma_deg is None and sigma is None:
+        raise click.UsageError("--prior needs --prior-sigma-deg or --prior-sigma: how far may it be wrong?")
+    return PosePrior(
+        read_matrix(path),
+        rotation_rad=None if sigma_deg is None else [math.radians(sigma_deg)] * 3,
+        translation_m=None if sigma is None else [sigma] * 3,
+    )
+
+
+def _control_points(path: Path | None) -> tuple[ControlPoint, ...] | None:
+    from tmchho import read_control_points
+
+    return None if path is None else read_control_points(path)
+
+
+def _word(value: Any) -> str | None:
+    """Return the value of an option as somebody would type it."""
+    if isinstance(value, tuple):
+        return ",".join(repr(number) for corner in value for number in corner)
+    return None if value is None else str(value)

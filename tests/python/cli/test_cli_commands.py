@@ -55,7 +55,7 @@ def test_evaluate_prints_a_table_as_in_the_article(files: tuple[Path, Path]) -> 
 
 def test_evaluate_refuses_what_is_no_pose(files: tuple[Path, Path], tmp_path: Path) -> None:
     path = tmp_path / "transform.txt"
-    path.write_text("2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n")
+    path.write_text("2 0 0 0\n0 2 0 0\n0 0 1 0\n0 0 0 1\n")
     assert_refused(run("evaluate", *files, "--transform", path), 2, "rotation")
     path.write_text("one two three")
     assert_refused(run("evaluate", *files, "--transform", path), 3, "transform.txt", "4 lines")
