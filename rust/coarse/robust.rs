@@ -19,7 +19,7 @@ use crate::random::Stream;
 use crate::rigid::Rigid;
 
 /// Witnesses of the cloud with fewer points, and how far, as a share of the unit, each looks round.
-pub(crate) const N_WITNESSES: usize = 4000;
+pub(crate) const N_WITNESSES: usize = 3000;
 pub(crate) const WITNESS_RADIUS: f64 = 0.035;
 
 /// Distance of the places where the moving cloud may belong, in the first rounds and in later ones.

@@ -1,7 +1,7 @@
 //! The partner of every source point, and which pairs count.
 
 use super::sizes::Sizes;
-use crate::cloud::Point;
+use crate::cloud::{Point, distance_sq};
 use crate::error::Result;
 use crate::neighbors::NeighborIndex;
 use crate::parallel;
@@ -49,8 +49,14 @@ impl Pairs {
             }
             for (partner, p) in partners.iter_mut().zip(&source[chunk * parallel::CHUNK..]) {
                 let moved = pose.apply(p);
-                let found = if limit_sq.is_finite() {
-                    target.nearest_within(&moved, limit_sq)
+                // The partner of the pose before is near this one too: nobody farther is asked.
+                let known_sq = target
+                    .points()
+                    .get(partner.0 as usize)
+                    .map_or(f64::INFINITY, |known| distance_sq(known, &moved));
+                let bound_sq = limit_sq.min(known_sq);
+                let found = if bound_sq.is_finite() {
+                    target.nearest_within(&moved, bound_sq)
                 } else {
                     target.nearest(&moved)
                 };
