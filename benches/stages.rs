@@ -89,7 +89,7 @@ fn stages(criterion: &mut Criterion) {
                 &scene.index,
                 &other.cloud,
                 &other.index,
-                &Rigid::identity(),
+                Rigid::identity(),
                 &fuse::FuseOptions::default(),
                 &silent,
             );

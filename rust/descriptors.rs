@@ -122,7 +122,7 @@ fn simple_histogram(
         let across = cross(&way, normal);
         let width = dot(&across, &across).sqrt();
         // Neighbours straight above or below tell no direction; copies of the point none at all.
-        if !(width > 1e-9) {
+        if width.is_nan() || width <= 1e-9 {
             continue;
         }
         let v = across.map(|x| x / width);

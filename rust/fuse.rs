@@ -219,7 +219,7 @@ mod tests {
             &NeighborIndex::new(target.points()),
             &source,
             &NeighborIndex::new(source.points()),
-            &pose,
+            pose,
             options,
             &Progress::silent(),
         )

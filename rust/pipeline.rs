@@ -102,17 +102,28 @@ fn route(
     let mut best: Option<(Prepared, CoarseResult)> = None;
     let scales = search::scales(&config)?;
     let enough = search::enough(&config).in_first_round();
-    if scales.len() > 1 {
-        config.coarse.rotations_per_round =
-            search::rounds_at_each_scale(&config.coarse.rotations_per_round);
-    }
+    let search_config = match scales.len() {
+        1 => config.clone(),
+        _ => search::at_each_scale(&config),
+    };
     for scale in scales {
         log.begin(Stage::Voxel, source_cleaned.len(), target_cleaned.len())?;
         let prepared = Prepared::new(&source_cleaned, &target_cleaned, scale, &config, progress)?;
         log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
-        let found = match search::search(&prepared, &config, deadline, &mut log, progress) {
+        let found = match search::search(&prepared, &search_config, deadline, &mut log, progress) {
             // At another scale there may be a pose.
             Err(Error::NoSolution { .. }) if config.dof == Freedom::Similarity => continue,
+            Err(Error::NoSolution { reason }) if config.mode == Mode::Robust => {
+                let doubts = doubts::doubts(
+                    &source_cleaned,
+                    &target_cleaned,
+                    &config,
+                    deadline,
+                    progress,
+                )?;
+                let reason = [vec![reason], doubts].concat().join("; ");
+                return Err(Error::NoSolution { reason });
+            }
             other => other?,
         };
         log.keep();
@@ -132,7 +143,7 @@ fn route(
     let candidates: Vec<(Similarity, f64)> = found
         .candidates
         .iter()
-        .map(|c| (prepared.to_given(&c.target_from_source), c.score))
+        .map(|c| (prepared.pose_to_given(&c.target_from_source), c.score))
         .collect();
     if config.dof == Freedom::Similarity {
         // The same voxel for both clouds, now that their scale is known.
@@ -146,7 +157,7 @@ fn route(
             progress,
         )?;
         log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
-        coarse_pose = prepared.from_given(&pose);
+        coarse_pose = prepared.pose_from_given(&pose);
     }
     let voxel_size_m = prepared.voxel_size_m;
     let max_distance_m = config
@@ -198,7 +209,7 @@ fn route(
         let rigid = uncertainty.covariance.fixed_view::<6, 6>(0, 0);
         strength.standard_error(&rigid.into_owned())
     });
-    let target_from_source = prepared.to_given(&pose);
+    let target_from_source = prepared.pose_to_given(&pose);
     let mut judgement = judge(
         &Evidence {
             inlier_share: agreed.inlier_share,
@@ -224,12 +235,10 @@ fn route(
         &config.verdict,
     );
     if judgement.verdict != Verdict::Accepted && config.mode == Mode::Robust {
-        let enough = search::enough(&config);
         judgement.reasons.extend(doubts::doubts(
             &source_cleaned,
             &target_cleaned,
             &config,
-            enough,
             deadline,
             progress,
         )?);

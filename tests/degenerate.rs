@@ -97,8 +97,8 @@ fn stages_that_need_no_pose_take_any_shape_but_an_empty_one() {
     let good = Scene::Field.survey(500, 0.03, 2);
     let still = Rigid::identity();
     for (words, bad) in clouds_without_a_pose() {
-        let lie = evaluate(&bad, &good, &still, &silent);
-        let fused = fuse_clouds(&bad, &good, &still, &FuseOptions::default(), &silent);
+        let lie = evaluate(&bad, &good, still, &silent);
+        let fused = fuse_clouds(&bad, &good, still, &FuseOptions::default(), &silent);
         if ["0 usable points", "1e300", "beyond"].contains(&words) {
             assert!(lie.is_err() && fused.is_err(), "{words}");
             assert!(lie.unwrap_err().to_string().contains("source cloud"));
@@ -449,7 +449,7 @@ fn a_mirrored_body_is_not_accepted() {
 fn assert_safe(what: &str, pair: &Pair) -> Option<Registration> {
     match run(&pair.source, &pair.target, &Config::default()) {
         Ok(found) => {
-            let off_m = pair.error_m(&found.target_from_source);
+            let off_m = pair.error_m(found.target_from_source);
             assert!(
                 found.verdict != Verdict::Accepted || off_m < found.voxel_size_m,
                 "{what}: accepted and off by {off_m}, voxel {}",
@@ -511,7 +511,7 @@ fn a_stray_point_changes_nothing() {
         pair.target.push([far_m, -far_m, far_m]);
         pair.source.push([-far_m, far_m, far_m]);
         let found = run(&pair.source, &pair.target, &Config::default()).unwrap();
-        assert!(field.error_m(&found.target_from_source) < found.voxel_size_m);
+        assert!(field.error_m(found.target_from_source) < found.voxel_size_m);
         assert_eq!(found.verdict, Verdict::Accepted, "{:?}", found.reasons);
         assert!(found.voxel_size_m < 1.0, "{}", found.voxel_size_m);
     }

@@ -91,8 +91,8 @@ fn a_seed_repeats_itself_and_another_one_takes_another_way_to_the_same_pose() {
     assert_ne!(first.history, other.history);
     let apart_m = farthest_m(
         &pair.source,
-        &first.target_from_source,
-        &other.target_from_source,
+        first.target_from_source,
+        other.target_from_source,
     );
     assert!(apart_m < 0.25 * first.voxel_size_m, "{apart_m}");
     assert_eq!(first.verdict, other.verdict);

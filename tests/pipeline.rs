@@ -26,7 +26,7 @@ use tmchho::{fitness, keypoints, outlier, voxel};
 const TOLERANCE_IN_VOXELS: f64 = 0.25;
 
 fn assert_true_pose(what: &str, pair: &Pair, found: &Registration) {
-    let error_in_voxels = pair.error_m(&found.target_from_source) / found.voxel_size_m;
+    let error_in_voxels = pair.error_m(found.target_from_source) / found.voxel_size_m;
     assert!(
         error_in_voxels < TOLERANCE_IN_VOXELS,
         "{what}: off by {error_in_voxels} voxels, {:?}",
@@ -102,7 +102,7 @@ fn clouds_that_change_places_give_the_pose_back() {
     let back = swapped.register(&Config::default());
     assert_true_pose("swapped", &swapped, &back);
     let round = back.target_from_source * forth.target_from_source;
-    let off_m = farthest_m(&pair.source, &round, &Rigid::identity());
+    let off_m = farthest_m(&pair.source, round, Rigid::identity());
     assert!(
         off_m < TOLERANCE_IN_VOXELS * forth.voxel_size_m,
         "{off_m} m"
@@ -116,7 +116,7 @@ fn a_cloud_lies_on_itself() {
         let still = Pair::of(&points, points.clone(), Rigid::identity());
         let found = still.register(&Config::default());
         let tolerance_m = 1e-9 * diagonal_m(&points);
-        assert!(still.error_m(&found.target_from_source) < tolerance_m);
+        assert!(still.error_m(found.target_from_source) < tolerance_m);
         assert_eq!(found.verdict, Verdict::Accepted, "{:?}", found.reasons);
         assert_eq!((found.fitness, found.overlap_of_source), (1.0, 1.0));
         assert!(found.source_to_target.worst_m < tolerance_m);
@@ -176,7 +176,7 @@ fn the_result_is_of_one_piece() {
     let lie = evaluate(
         &pair.source,
         &pair.target,
-        &found.target_from_source,
+        found.target_from_source,
         &Progress::silent(),
     )
     .unwrap();
@@ -207,7 +207,7 @@ fn the_result_is_of_one_piece() {
             .all(|pair| pair[0].1 >= pair[1].1)
     );
     let (best, score) = found.candidates[0];
-    assert!(pair.error_m(&best) < 2.0 * found.voxel_size_m);
+    assert!(pair.error_m(best) < 2.0 * found.voxel_size_m);
     // A pose at rest may score a trifle less than the best that was ever seen.
     let last = *found.history.last().unwrap();
     assert!(last >= score && last < 1.05 * score, "{last} {score}");

@@ -75,7 +75,7 @@ proptest! {
         let (there, far) = found_at(&pair, &grid, &grid);
         prop_assert_eq!(far.verdict, here.verdict);
         let expected = grid * here.target_from_source.rigid * grid.inverse();
-        let apart_m = farthest_m(&there.source, &expected, &far.target_from_source);
+        let apart_m = farthest_m(&there.source, expected, far.target_from_source);
         prop_assert!(apart_m < 1e-6, "{apart_m}");
     }
 
@@ -89,7 +89,7 @@ proptest! {
         };
         let after = found(&mixed);
         let apart_m =
-            farthest_m(&pair.source, &after.target_from_source, &before.target_from_source);
+            farthest_m(&pair.source, after.target_from_source, before.target_from_source);
         prop_assert!(apart_m < 0.5 * before.voxel_size_m, "{apart_m}");
         prop_assert_eq!(after.verdict, before.verdict);
         prop_assert!((after.voxel_size_m - before.voxel_size_m).abs() < 1e-12 * SIDE_M);
@@ -102,7 +102,7 @@ proptest! {
             (Rigid::identity(), any_pose(seed)),
         ] {
             let (there, registration) = found_at(&pair, &source, &target);
-            let off_m = there.error_m(&registration.target_from_source);
+            let off_m = there.error_m(registration.target_from_source);
             prop_assert!(off_m < 0.5 * registration.voxel_size_m, "{off_m}");
         }
     }

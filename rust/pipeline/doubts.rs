@@ -4,6 +4,7 @@
 //! where the source as given did not, somebody should be told.
 
 use super::prepare::Prepared;
+use super::search;
 use crate::cloud::{Cloud, Point};
 use crate::coarse::{self, Deadline, Problem, RobustSearchOptions, StandingOut};
 use crate::config::Config;
@@ -37,10 +38,10 @@ pub(super) fn doubts(
     source: &Cloud,
     target: &Cloud,
     config: &Config,
-    enough: StandingOut,
     deadline: Deadline,
     progress: &Progress<'_>,
 ) -> Result<Vec<String>> {
+    let enough = search::enough(config);
     let mut found = Vec::new();
     let fits = |source: &Cloud, scale: f64| -> Result<bool> {
         if deadline.is_over() {

@@ -84,7 +84,7 @@ impl Prepared {
     }
 
     /// The pose between these clouds, from one between the clouds that were given.
-    pub(super) fn from_given(&self, pose: &Similarity) -> Similarity {
+    pub(super) fn pose_from_given(&self, pose: &Similarity) -> Similarity {
         let from_scaled = Similarity {
             scale: pose.scale / self.source_scale,
             ..*pose
@@ -93,7 +93,7 @@ impl Prepared {
     }
 
     /// The pose between the clouds that were given, from one between these.
-    pub(super) fn to_given(&self, pose: &Similarity) -> Similarity {
+    pub(super) fn pose_to_given(&self, pose: &Similarity) -> Similarity {
         self.about_pivots(pose)
             .between_given_coordinates(self.source_pivot(), self.target_pivot())
     }

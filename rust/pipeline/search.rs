@@ -106,10 +106,15 @@ pub(super) fn scales(config: &Config) -> Result<Vec<f64>> {
     Ok(scales)
 }
 
-/// The rounds that are worth their time at each of several scales; whether a pose stands out shows
-/// at the right one.
-pub(super) fn rounds_at_each_scale(rounds: &[usize]) -> Vec<usize> {
-    rounds[..rounds.len().min(ROUNDS_AT_EACH_SCALE)].to_vec()
+/// The settings for one of several scales: whether a pose stands out shows in the first rounds at the
+/// right one.
+pub(super) fn at_each_scale(config: &Config) -> Config {
+    let mut config = config.clone();
+    config
+        .coarse
+        .rotations_per_round
+        .truncate(ROUNDS_AT_EACH_SCALE);
+    config
 }
 
 /// How well a search at one scale went, to be compared with others.

@@ -284,7 +284,7 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
                 Rival::words(evidence.rival.as_ref())
             ),
         );
-    } else if ratio <= needed_ratio {
+    } else if ratio <= needed_ratio && share >= options.reject_inlier_share {
         lower(
             Verdict::Review,
             format!(

@@ -202,7 +202,7 @@ impl Pair {
 
     /// How far the pose puts a source point from where it belongs, at most.
     pub(crate) fn error_m(&self, pose: impl Into<Similarity>) -> f64 {
-        farthest_m(&self.source, pose, &self.target_from_source)
+        farthest_m(&self.source, pose, self.target_from_source)
     }
 }
 
