@@ -78,11 +78,13 @@ impl Witnesses {
     ) -> Result<[Self; 2]> {
         let n_smaller = clouds[0].len().min(clouds[1].len()).max(1);
         let share = (n as f64 / n_smaller as f64).min(1.0);
-        let [first, second] = clouds.map(|cloud| -> Result<Self> {
+        let of = |cloud: SurfaceCloud| -> Result<Self> {
             let n = (cloud.len() as f64 * share).ceil() as usize;
             let weights = curvature_weights(&cloud, n, radius_m, spacing_m, progress)?;
             Ok(Self { cloud, weights })
-        });
+        };
+        let [first, second] = clouds;
+        let (first, second) = parallel::both(|| of(first), || of(second));
         Ok([first?, second?])
     }
 

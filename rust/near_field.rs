@@ -173,26 +173,33 @@ impl NearField {
 
 /// Enters a point into every cell of a block that it is nearer to than those before it.
 fn stamp(p: [f32; 3], i: u32, reach: f32, best_sq: &mut [f32; CELLS], nearest: &mut [u32; CELLS]) {
-    if p.iter()
-        .any(|v| *v < -reach || *v > EDGE as f32 - 1.0 + reach)
-    {
+    const LAST: f32 = EDGE as f32 - 1.0;
+    if p.iter().any(|v| *v < -reach || *v > LAST + reach) {
         return;
     }
-    let [xs_sq, ys_sq, zs_sq] =
-        p.map(|v| std::array::from_fn::<f32, EDGE, _>(|cell| (v - cell as f32).powi(2)));
+    // The casts cut towards 0, which may take one row too many, and saturate.
+    let span = |axis: usize| {
+        let (low, high) = (p[axis] - reach, (p[axis] + reach).min(LAST));
+        low as usize..high as usize + 1
+    };
+    let xs_sq = std::array::from_fn::<f32, EDGE, _>(|x| (p[0] - x as f32).powi(2));
     let reach_sq = reach * reach;
-    let rows = best_sq.as_chunks_mut::<EDGE>().0.iter_mut();
-    let rows = rows.zip(nearest.as_chunks_mut::<EDGE>().0);
-    for (row, (best_sq, nearest)) in rows.enumerate() {
-        let across_sq = zs_sq[row / EDGE] + ys_sq[row % EDGE];
-        if across_sq > reach_sq {
-            continue;
-        }
-        for x in 0..EDGE {
-            let distance_sq = across_sq + xs_sq[x];
-            let nearer = distance_sq < best_sq[x];
-            best_sq[x] = if nearer { distance_sq } else { best_sq[x] };
-            nearest[x] = if nearer { i } else { nearest[x] };
+    for z in span(2) {
+        let z_sq = (p[2] - z as f32).powi(2);
+        for y in span(1) {
+            let across_sq = z_sq + (p[1] - y as f32).powi(2);
+            if across_sq > reach_sq {
+                continue;
+            }
+            let row = (z * EDGE + y) * EDGE;
+            let best_sq = &mut best_sq[row..row + EDGE];
+            let nearest = &mut nearest[row..row + EDGE];
+            for x in 0..EDGE {
+                let distance_sq = across_sq + xs_sq[x];
+                let nearer = distance_sq < best_sq[x];
+                best_sq[x] = if nearer { distance_sq } else { best_sq[x] };
+                nearest[x] = if nearer { i } else { nearest[x] };
+            }
         }
     }
 }

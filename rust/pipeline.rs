@@ -86,8 +86,11 @@ fn route(
         || NeighborIndex::new(source.points()),
         || NeighborIndex::new(target.points()),
     );
-    let source_cleaned = remove_outliers(source, &source_index, &config.outliers, progress)?;
-    let target_cleaned = remove_outliers(target, &target_index, &config.outliers, progress)?;
+    let (source_cleaned, target_cleaned) = parallel::both(
+        || remove_outliers(source, &source_index, &config.outliers, progress),
+        || remove_outliers(target, &target_index, &config.outliers, progress),
+    );
+    let (source_cleaned, target_cleaned) = (source_cleaned?, target_cleaned?);
     let outlier_radius_m = (source_cleaned.radius_m, target_cleaned.radius_m);
     let mut source_cleaned = source_cleaned.cloud;
     let mut target_cleaned = target_cleaned.cloud;
@@ -370,9 +373,12 @@ fn distances(
     let moved = |cloud: &Cloud, pose: &Similarity| {
         parallel::map_cheap(cloud.len(), progress, |i| pose.apply(&cloud.points()[i]))
     };
-    let forth = nearest_distances(&moved(source, target_from_source)?, target_index, progress)?;
-    let back = target_from_source.inverse();
-    let back = nearest_distances(&moved(target, &back)?, source_index, progress)?;
+    let source_from_target = target_from_source.inverse();
+    let (forth, back) = parallel::both(
+        || nearest_distances(&moved(source, target_from_source)?, target_index, progress),
+        || nearest_distances(&moved(target, &source_from_target)?, source_index, progress),
+    );
+    let (forth, back) = (forth?, back?);
     // Both are told in the target's unit.
     let scale = target_from_source.scale;
     let back = match scale {

@@ -66,11 +66,12 @@ impl<'a> Explorer<'a> {
                 }
             })
         };
+        let (moving_grid, fixed_grid) = parallel::both(|| grid(moving), || grid(fixed));
         Ok(Self {
             moving,
             fixed,
-            moving_grid: grid(moving)?,
-            fixed_grid: grid(fixed)?,
+            moving_grid: moving_grid?,
+            fixed_grid: fixed_grid?,
             unit_m,
             freedom,
         })

@@ -16,7 +16,7 @@ use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
 
 /// Points of the moving cloud that take part in the refinement.
-const N_REFINED: usize = 1500;
+const N_REFINED: usize = 1200;
 /// Poses brought to rest in one turn, and turns at most.
 const N_FINALISTS: usize = 4;
 const MAX_FINISHING_TURNS: usize = 10;
@@ -125,11 +125,13 @@ impl<'a> Verifier<'a> {
                 }
             })
         };
+        let (moving_field, fixed_field) =
+            parallel::both(|| field(&moving.cloud), || field(&fixed.cloud));
         Ok(Self {
             moving,
             fixed,
-            moving_field: field(&moving.cloud)?,
-            fixed_field: field(&fixed.cloud)?,
+            moving_field: moving_field?,
+            fixed_field: fixed_field?,
             fixed_grid,
             knowledge,
             unit_m,

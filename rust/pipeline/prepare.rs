@@ -7,6 +7,7 @@ use crate::config::Config;
 use crate::error::{Error, Result};
 use crate::fitness::Witnesses;
 use crate::observations::{LocalObservations, Observations};
+use crate::parallel;
 use crate::progress::Progress;
 use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
@@ -48,12 +49,15 @@ impl Prepared {
             .voxel
             .voxel_size_m
             .unwrap_or(unit_m / VOXELS_PER_EXTENT);
-        let source_voxels = downsample(source, voxel_size_m, progress)?.cloud;
-        let target_voxels = downsample(target, voxel_size_m, progress)?.cloud;
-        let surfaces = [
-            SurfaceCloud::new(&source_voxels, config.seed, progress)?,
-            SurfaceCloud::new(&target_voxels, config.seed, progress)?,
-        ];
+        let thinned = |cloud: &Cloud| -> Result<(Cloud, SurfaceCloud)> {
+            let voxels = downsample(cloud, voxel_size_m, progress)?.cloud;
+            let surfaces = SurfaceCloud::new(&voxels, config.seed, progress)?;
+            Ok((voxels, surfaces))
+        };
+        let (of_source, of_target) = parallel::both(|| thinned(source), || thinned(target));
+        let (source_voxels, source_surfaces) = of_source?;
+        let (target_voxels, target_surfaces) = of_target?;
+        let surfaces = [source_surfaces, target_surfaces];
         let [source, target] = Witnesses::of_both(
             surfaces,
             coarse::N_WITNESSES,
@@ -157,5 +161,6 @@ fn extent_of_smaller(source: &Cloud, target: &Cloud) -> Result<f64> {
             });
         }
     }
-    Ok(source.extent_m().min(target.extent_m()))
+    let (of_source, of_target) = parallel::both(|| source.extent_m(), || target.extent_m());
+    Ok(of_source.min(of_target))
 }
