@@ -8,13 +8,12 @@
 
 #![allow(clippy::unwrap_used)] // a test that fails may do so at once
 
-use tmchho::optim::{Bounds, HawkOptions, Optimizer, chaos, test_functions};
+use tmchho::optim::{Bounds, HawkOptions, Optimizer, chaos, levy, test_functions};
 use tmchho::random::Stream;
 
 const N: usize = 12;
 const T: usize = 60;
 const D: usize = 5;
-const SIGMA: f64 = 0.696_574_502_557_696_8;
 
 /// The best value after each iteration, and the hawks when they were looked at last.
 fn published(
@@ -93,7 +92,7 @@ fn published(
                     let z: Vec<f64> = (0..D)
                         .map(|d| {
                             let (u, v) = (rand.normal(), rand.normal());
-                            y[d] + s[d] * (u * SIGMA / (v * v).cbrt())
+                            y[d] + s[d] * levy::step(u, v, 1.0)
                         })
                         .collect();
                     if f(&clip(&z)) < f(&xi) {

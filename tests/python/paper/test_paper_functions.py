@@ -32,6 +32,7 @@ PROTOTYPE = {
 # made by one or two runs of thirty, and lies between the median and the worst.
 HEAVY_TAILS = {
     ("f1", 50, "hho"),
+    ("f2", 10, "hho"),
     ("f2", 50, "tmchho"),
     ("f3", 10, "hho"),
     ("f3", 10, "tmchho"),
