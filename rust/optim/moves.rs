@@ -118,13 +118,24 @@ pub fn mutate(hawks: [&[f64]; 3], fitness: [f64; 3], o: f64) -> Vec<f64> {
 /// # Panics
 /// Where there are no hawks.
 pub fn mean(hawks: &[Vec<f64>]) -> Vec<f64> {
-    let mut sum = hawks[0].clone();
-    for hawk in &hawks[1..] {
-        for (sum, o) in sum.iter_mut().zip(hawk) {
-            *sum += o;
+    /// Coordinates whose sums stay in registers while all hawks are read.
+    const BLOCK: usize = 16;
+    let mut mean = vec![0.0; hawks[0].len()];
+    for (block, mean) in mean.chunks_mut(BLOCK).enumerate() {
+        let mut sums = [0.0; BLOCK];
+        for hawk in hawks {
+            let part = &hawk[block * BLOCK..][..mean.len()];
+            match <&[f64; BLOCK]>::try_from(part) {
+                Ok(part) => (0..BLOCK).for_each(|i| sums[i] += part[i]),
+                Err(_) => sums.iter_mut().zip(part).for_each(|(sum, o)| *sum += o),
+            }
         }
+        let n = hawks.len() as f64;
+        mean.iter_mut()
+            .zip(sums)
+            .for_each(|(mean, sum)| *mean = sum / n);
     }
-    sum.iter().map(|sum| sum / hawks.len() as f64).collect()
+    mean
 }
 
 #[cfg(test)]
