@@ -122,7 +122,7 @@ def test_a_terminal_gets_a_moving_line(files: tuple[Path, Path], tmp_path: Path)
 
     ours, theirs = pty.openpty()
     config = tmp_path / "long.toml"  # long enough for the line to be seen
-    config.write_text("[coarse]\nrotations_per_round = [2000]\n")
+    config.write_text("[coarse]\nrotations_per_round = [20000]\n")
     process = subprocess.Popen(
         command("register", *files, "-o", tmp_path / "out", "--config", config, "--json"),
         stdout=subprocess.PIPE,
