@@ -40,7 +40,7 @@ const N_NEAR_KNOWN: usize = 64;
 /// The first round looks at this share of the poses of the others.
 const FIRST_ROUND: usize = 4;
 /// After the first round, which has met few rivals, the best pose must stand out by more.
-const FIRST_ROUND_SHARE: f64 = 0.5;
+const FIRST_ROUND_SHARE: f64 = 0.75;
 const FIRST_ROUND_RATIO: f64 = 2.5;
 
 /// When a pose stands out, so that the search may end.
