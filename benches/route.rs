@@ -7,7 +7,8 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use tmchho::coarse::{Deadline, Problem, RobustSearchOptions, StandingOut, search_robust};
+use tmchho::coarse::{Problem, RobustSearchOptions, StandingOut, search_robust};
+use tmchho::deadline::Deadline;
 use tmchho::distance_field::NearestGrid;
 use tmchho::fitness::{self, Tolerance, Witnesses};
 use tmchho::freedom::Freedom;

@@ -4,6 +4,7 @@
 
 // Floor 0: words.
 pub mod cloud;
+pub mod deadline;
 pub mod error;
 pub mod freedom;
 pub(crate) mod parallel;

@@ -12,8 +12,9 @@ use prepare::{Prepared, cropped};
 pub use apart::{Evaluation, evaluate, fuse_clouds};
 
 use crate::cloud::{Cloud, Point};
-use crate::coarse::{CoarseResult, Deadline};
+use crate::coarse::CoarseResult;
 use crate::config::{Config, Mode};
+use crate::deadline::Deadline;
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
 use crate::fitness::{self, Tolerance, agreement};
@@ -212,6 +213,7 @@ fn route(
         let rigid = uncertainty.covariance.fixed_view::<6, 6>(0, 0);
         strength.standard_error(&rigid.into_owned())
     });
+    let lead_over_chance = found.candidates[0].score / found.chance_score;
     let target_from_source = prepared.pose_to_given(&pose);
     let mut judgement = judge(
         &Evidence {
@@ -223,7 +225,7 @@ fn route(
             }),
             strength,
             weakest_error,
-            lead_over_chance: found.candidates[0].score / found.chance_score,
+            lead_over_chance,
             held_out_ratio: held_out,
             misfit: agreed.misfit,
             deviation_from_known: match known.n_observed() {
@@ -276,7 +278,7 @@ fn route(
         ambiguity_ratio: found.ambiguity_ratio,
         strength,
         candidates,
-        lead_over_chance: found.candidates[0].score / found.chance_score,
+        lead_over_chance,
         held_out_ratio: held_out,
         misfit: agreed.misfit,
         ended_early: found.ended_early,

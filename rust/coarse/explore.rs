@@ -1,10 +1,11 @@
 //! From thousands of starts to a few hundred basins: quick descents of few points.
 
 use super::descent::{self, Shrinking};
-use super::{Deadline, differ_rigid};
+use super::{differ_rigid, without_points};
 use crate::cloud::Point;
+use crate::deadline::Deadline;
 use crate::distance_field::NearestGrid;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::freedom::Freedom;
 use crate::parallel;
 use crate::progress::Progress;
@@ -60,11 +61,7 @@ impl<'a> Explorer<'a> {
     ) -> Result<Self> {
         let grid = |cloud: &SurfaceCloud| {
             let (cell_m, margin_m) = (CELL * unit_m, GRID_MARGIN * unit_m);
-            NearestGrid::new(cloud.points(), cell_m, margin_m, MAX_CELLS).ok_or_else(|| {
-                Error::NoSolution {
-                    reason: "a cloud without points has no pose".into(),
-                }
-            })
+            NearestGrid::new(cloud.points(), cell_m, margin_m, MAX_CELLS).ok_or_else(without_points)
         };
         let (moving_grid, fixed_grid) = parallel::both(|| grid(moving), || grid(fixed));
         Ok(Self {

@@ -9,7 +9,8 @@
 use super::explore::Explorer;
 use super::hypotheses;
 use super::verify::{Knowledge, Verifier};
-use super::{Candidate, CoarseResult, Deadline, RobustSearchOptions, starts};
+use super::{Candidate, CoarseResult, RobustSearchOptions, starts};
+use crate::deadline::Deadline;
 use crate::error::{Error, Result, require_positive};
 use crate::fitness::Witnesses;
 use crate::freedom::Freedom;
@@ -66,8 +67,7 @@ impl StandingOut {
 
     fn is_met(&self, verifier: &Verifier<'_>) -> bool {
         let share = verifier.best().map_or(0.0, |v| v.agreement.inlier_share);
-        // The ratio costs more than the share.
-        share > self.inlier_share && self.is_met_by(share, verifier.ambiguity_ratio())
+        self.is_met_by(share, verifier.ambiguity_ratio)
     }
 
     /// Whether a pose of that share of inliers and lead over its rivals stands out.
@@ -234,7 +234,7 @@ pub fn search_robust(
         });
     }
     Ok(CoarseResult {
-        ambiguity_ratio: verifier.ambiguity_ratio(),
+        ambiguity_ratio: verifier.ambiguity_ratio,
         chance_score: verifier.chance_score(seed),
         candidates,
         n_evaluations,

@@ -1,9 +1,10 @@
 //! Few poses, looked at closely: refined, scored in both directions, ranked, compared with rivals.
 
 use super::descent::{self, Fixed, Shrinking};
-use super::{Deadline, differ, starts};
+use super::{differ, starts, without_points};
+use crate::deadline::Deadline;
 use crate::distance_field::NearestGrid;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::fitness::{Agreement, Tolerance, Witnesses, agreement, off_plane_noise_m};
 use crate::freedom::Freedom;
 use crate::near_field::NearField;
@@ -103,6 +104,8 @@ pub(super) struct Verifier<'a> {
     freedom: Freedom,
     /// By falling score.
     verified: Vec<Verified>,
+    /// Weighted share of the best pose by that of its best rival; NaN before the first look.
+    pub(super) ambiguity_ratio: f64,
     /// Best score so far, after each pose.
     pub(super) history: Vec<f64>,
     pub(super) n_evaluations: usize,
@@ -119,11 +122,7 @@ impl<'a> Verifier<'a> {
     ) -> Result<Self> {
         let field = |cloud: &SurfaceCloud| {
             let (cell_m, reach_m) = (FINE_CELL * unit_m, VERIFY_DISTANCE * unit_m);
-            NearField::new(cloud.points(), cell_m, reach_m, MAX_BLOCKS).ok_or_else(|| {
-                Error::NoSolution {
-                    reason: "a cloud without points has no pose".into(),
-                }
-            })
+            NearField::new(cloud.points(), cell_m, reach_m, MAX_BLOCKS).ok_or_else(without_points)
         };
         let (moving_field, fixed_field) =
             parallel::both(|| field(&moving.cloud), || field(&fixed.cloud));
@@ -137,6 +136,7 @@ impl<'a> Verifier<'a> {
             unit_m,
             freedom,
             verified: Vec::new(),
+            ambiguity_ratio: f64::NAN,
             history: Vec::new(),
             n_evaluations: 0,
         })
@@ -175,6 +175,7 @@ impl<'a> Verifier<'a> {
         }
         self.rank();
         self.finish_leaders(deadline, progress)?;
+        self.ambiguity_ratio = self.lead_over_rivals();
         let best = self.best().map_or(0.0, |v| v.agreement.score());
         self.history.push(best.max(self.best_score_so_far()));
         Ok(())
@@ -282,9 +283,9 @@ impl<'a> Verifier<'a> {
         kept.into_iter()
     }
 
-    /// Weighted share of the best pose by that of its best rival, both at the accuracy that the clouds show
-    /// at the best pose: at a wrong pose they lie off each other's planes and leave room for rivals.
-    pub(super) fn ambiguity_ratio(&self) -> f64 {
+    /// Counts the best pose and its rivals at the accuracy that the clouds show at the best pose: at a
+    /// wrong pose they lie off each other's planes and leave room for rivals.
+    fn lead_over_rivals(&self) -> f64 {
         let Some(best) = self.best() else {
             return f64::NAN;
         };

@@ -147,16 +147,8 @@ impl Butterflies {
 impl Swarm for Butterflies {
     fn wish(&mut self) -> Wish {
         match self.next {
-            Next::Start => Wish::Values {
-                points: self.places.clone(),
-                limit: f64::INFINITY,
-                rival: f64::INFINITY,
-            },
-            Next::Butterfly(i) => Wish::Values {
-                points: vec![self.trial(i)],
-                limit: f64::INFINITY,
-                rival: f64::INFINITY,
-            },
+            Next::Start => Wish::values(self.places.clone()),
+            Next::Butterfly(i) => Wish::values(vec![self.trial(i)]),
             Next::End => {
                 self.next = Next::Butterfly(0);
                 Wish::EndOfIteration

@@ -192,16 +192,8 @@ impl Pack {
 impl Swarm for Pack {
     fn wish(&mut self) -> Wish {
         match self.next {
-            Next::Start => Wish::Values {
-                points: self.places.clone(),
-                limit: f64::INFINITY,
-                rival: f64::INFINITY,
-            },
-            Next::Dingo(i) => Wish::Values {
-                points: vec![self.trial(i)],
-                limit: f64::INFINITY,
-                rival: f64::INFINITY,
-            },
+            Next::Start => Wish::values(self.places.clone()),
+            Next::Dingo(i) => Wish::values(vec![self.trial(i)]),
             Next::End => {
                 self.survival = survival(&self.fitness, self.best_fitness);
                 self.next = Next::Dingo(0);

@@ -98,11 +98,7 @@ impl Hunt {
         }
         let points: Vec<Vec<f64>> = unknown.iter().map(|&i| self.hawks[i].clone()).collect();
         self.question = Question::Hawks(unknown);
-        (!points.is_empty()).then_some(Wish::Values {
-            points,
-            limit: f64::INFINITY,
-            rival: f64::INFINITY,
-        })
+        (!points.is_empty()).then_some(Wish::values(points))
     }
 
     /// The prey is the best so far; among equals, the first.

@@ -165,11 +165,7 @@ impl Swarm for Flock {
         if self.n_iterations_done > 0 {
             self.move_all();
         }
-        Wish::Values {
-            points: self.places.clone(),
-            limit: f64::INFINITY,
-            rival: f64::INFINITY,
-        }
+        Wish::values(self.places.clone())
     }
 
     fn tell(&mut self, _: Vec<Vec<f64>>, values: &[f64]) {

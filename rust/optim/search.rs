@@ -5,8 +5,8 @@
 //! the history are here, once for all methods.
 
 use std::ops::ControlFlow;
-use std::time::{Duration, Instant};
 
+use crate::deadline::Deadline;
 use crate::error::{Error, Result};
 
 use super::budget::Budget;
@@ -25,6 +25,17 @@ pub(super) enum Wish {
     },
     /// Nothing: an iteration is over, and the best point is up to date.
     EndOfIteration,
+}
+
+impl Wish {
+    /// Values that are wanted whatever they are.
+    pub(super) fn values(points: Vec<Vec<f64>>) -> Self {
+        Self::Values {
+            points,
+            limit: f64::INFINITY,
+            rival: f64::INFINITY,
+        }
+    }
 }
 
 /// A method at work: what differs from method to method.
@@ -63,7 +74,7 @@ pub struct Search {
     swarm: Box<dyn Swarm>,
     max_iterations: usize,
     max_evaluations: usize,
-    deadline: Option<Instant>,
+    deadline: Deadline,
     asked: Vec<Vec<f64>>,
     limit: f64,
     rival: f64,
@@ -75,14 +86,11 @@ pub struct Search {
 
 impl Search {
     pub(super) fn new(swarm: Box<dyn Swarm>, budget: &Budget) -> Self {
-        let seconds = |seconds| Duration::try_from_secs_f64(seconds).ok();
         let mut search = Self {
             swarm,
             max_iterations: budget.n_iterations,
             max_evaluations: budget.max_evaluations.unwrap_or(usize::MAX),
-            // So many seconds that the clock does not reach them are no limit.
-            deadline: (budget.max_seconds.and_then(seconds))
-                .and_then(|duration| Instant::now().checked_add(duration)),
+            deadline: Deadline::after(budget.max_seconds),
             asked: Vec::new(),
             limit: f64::INFINITY,
             rival: f64::INFINITY,
@@ -264,6 +272,6 @@ impl Search {
 
     /// Whether time is up; the first batch is always asked for.
     fn is_late(&self) -> bool {
-        self.n_evaluations > 0 && (self.deadline).is_some_and(|deadline| Instant::now() >= deadline)
+        self.n_evaluations > 0 && self.deadline.is_over()
     }
 }

@@ -132,11 +132,7 @@ impl Swarm for Pod {
         if self.n_iterations_done > 0 {
             self.move_all();
         }
-        Wish::Values {
-            points: self.whales.clone(),
-            limit: f64::INFINITY,
-            rival: f64::INFINITY,
-        }
+        Wish::values(self.whales.clone())
     }
 
     fn tell(&mut self, _: Vec<Vec<f64>>, values: &[f64]) {

@@ -6,12 +6,13 @@
 use super::prepare::Prepared;
 use super::search;
 use crate::cloud::{Cloud, Point};
-use crate::coarse::{self, Deadline, Problem, RobustSearchOptions, StandingOut};
 use crate::config::Config;
+use crate::deadline::Deadline;
 use crate::error::{Error, Result};
 use crate::freedom::Freedom;
-use crate::observations::LocalObservations;
+use crate::observations::Observations;
 use crate::progress::Progress;
+use crate::registration::StageLog;
 
 /// Factors between units that are mixed up: metres and millimetres, metres and feet.
 const UNITS: [(f64, &str); 4] = [
@@ -41,16 +42,28 @@ pub(super) fn doubts(
     deadline: Deadline,
     progress: &Progress<'_>,
 ) -> Result<Vec<String>> {
-    let enough = search::enough(config);
     let mut found = Vec::new();
+    // One round, from nothing. Lengths that were set belong to the unit that was set.
+    let mut brief = config.clone();
+    brief.dof = Freedom::Rigid;
+    brief.known = Observations::default();
+    brief.voxel.voxel_size_m = None;
+    brief.coarse.rotations_per_round.truncate(1);
+    let quiet = progress.quietly();
     let fits = |source: &Cloud, scale: f64| -> Result<bool> {
         if deadline.is_over() {
             return Ok(false);
         }
-        // Lengths that were set belong to the unit that was set.
-        let mut config = config.clone();
-        config.voxel.voxel_size_m = None;
-        stands_out(source, target, scale, &config, enough, deadline, progress)
+        let prepared = Prepared::new(source, target, scale, &brief, &quiet)?;
+        let mut log = StageLog::new(&quiet);
+        match search::search(&prepared, &brief, deadline, &mut log, &quiet) {
+            Ok(found) => {
+                let enough = search::enough(&brief);
+                Ok(enough.is_met_by(found.inlier_share(), found.ambiguity_ratio))
+            }
+            Err(Error::NoSolution { .. }) => Ok(false),
+            Err(other) => Err(other),
+        }
     };
     let mirrored = mirrored(source);
     if fits(&mirrored, 1.0)? {
@@ -70,35 +83,6 @@ pub(super) fn doubts(
         }
     }
     Ok(found)
-}
-
-fn stands_out(
-    source: &Cloud,
-    target: &Cloud,
-    scale: f64,
-    config: &Config,
-    enough: StandingOut,
-    deadline: Deadline,
-    progress: &Progress<'_>,
-) -> Result<bool> {
-    let prepared = Prepared::new(source, target, scale, config, progress)?;
-    let problem = Problem {
-        source: &prepared.source,
-        target: &prepared.target,
-        unit_m: prepared.unit_m,
-        freedom: Freedom::Rigid,
-        known: &LocalObservations::default(),
-    };
-    let options = RobustSearchOptions {
-        rotations_per_round: config.coarse.rotations_per_round[..1].to_vec(),
-        ..config.coarse.clone()
-    };
-    let quiet = progress.quietly();
-    match coarse::search_robust(&problem, &options, enough, deadline, config.seed, &quiet) {
-        Ok(found) => Ok(enough.is_met_by(found.inlier_share(), found.ambiguity_ratio)),
-        Err(Error::NoSolution { .. }) => Ok(false),
-        Err(other) => Err(other),
-    }
 }
 
 fn mirrored(cloud: &Cloud) -> Cloud {

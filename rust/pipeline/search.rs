@@ -2,8 +2,9 @@
 
 use super::prepare::Prepared;
 use crate::cloud::{Cloud, Point};
-use crate::coarse::{self, CoarseResult, Deadline, Problem, StandingOut};
+use crate::coarse::{self, CoarseResult, Problem, StandingOut};
 use crate::config::{Config, Mode};
+use crate::deadline::Deadline;
 use crate::error::Result;
 use crate::freedom::Freedom;
 use crate::keypoints::{self, RADIUS_IN_VOXELS};

@@ -1,4 +1,4 @@
-//! When the search has to hand over what it has.
+//! When a search has to hand over what it has.
 
 use std::time::{Duration, Instant};
 
