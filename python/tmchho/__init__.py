@@ -42,6 +42,7 @@ from tmchho.errors import (
 from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike
 from tmchho.io import read, write
+from tmchho.moving import apply_transform, moved
 from tmchho.observations import ControlPoint, Observations, PosePrior, read_control_points
 from tmchho.optimize import minimize
 from tmchho.optimizer import MinimizeResult, Optimizer
@@ -60,6 +61,7 @@ from tmchho.stages import (
     remove_outliers,
     voxel_downsample,
 )
+from tmchho.transform import Transform, read_transform
 
 __all__ = [
     "BenchmarkFunction",
@@ -95,11 +97,13 @@ __all__ = [
     "StageRecord",
     "StoppedError",
     "TmchhoError",
+    "Transform",
     "VerdictOptions",
     "VoxelOptions",
     "VoxelResult",
     "WriteError",
     "__version__",
+    "apply_transform",
     "benchmark_functions",
     "benchmark_value",
     "chaotic_sequence",
@@ -115,9 +119,11 @@ __all__ = [
     "matrix_to_euler",
     "median_spacing",
     "minimize",
+    "moved",
     "nearest_distances",
     "read",
     "read_control_points",
+    "read_transform",
     "register",
     "remove_outliers",
     "rms_fitness",

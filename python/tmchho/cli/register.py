@@ -152,6 +152,8 @@ def register(
       fused.laz              both clouds in one, with the origin of each point
       source_registered.laz  SOURCE in the frame of TARGET, with all its attributes
       transform.txt          the 4 x 4 matrix from SOURCE to TARGET, as CloudCompare reads it
+      transform.json         the same in every form, also about pivots; for `tmchho apply`
+      pdal.json              a PDAL pipeline that moves SOURCE
       result.json            verdict, figures, settings and checksums
 
     Where the pose is rejected, only result.json is written.

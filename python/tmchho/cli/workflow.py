@@ -131,6 +131,12 @@ def _compare_crs(source: PointCloud, target: PointCloud, shown: Display) -> None
         )
 
 
+def scales_of(cloud: PointCloud) -> tuple[float, ...] | None:
+    """Return the steps in which a LAS file stores coordinates, None for other files."""
+    header = cloud.metadata.get("header") if cloud.metadata.get("format") == "las" else None
+    return None if header is None else header.scales
+
+
 def _write(
     job: Job,
     registration: Registration,
@@ -140,27 +146,26 @@ def _write(
     document: Mapping[str, Any],
 ) -> tuple[Path, ...]:
     from tmchho import write
+    from tmchho.moving import turned
     from tmchho.outputs import (
         FUSED,
         OUTPUTS,
         RESULT,
         SOURCE_REGISTERED,
-        TRANSFORM,
         json_text,
-        matrix_text,
         moved_source,
+        pose_files,
         write_together,
     )
+    from tmchho.transform import Transform
 
     # Listed first, result.json appears last: where it is, the others are.
     files = {RESULT: lambda path: path.write_text(json_text(document), encoding="utf-8", newline="\n")}
     if fused is not None:
-        merged = fused.to_point_cloud(source, target)
+        merged = fused.to_point_cloud(turned(source, Transform.of(registration)), target)
         moved = moved_source(registration, source, target)
         files |= {
-            TRANSFORM: lambda path: path.write_text(
-                matrix_text(registration.transformation), encoding="utf-8"
-            ),
+            **pose_files(registration, str(job.source), source.crs, target.crs, scales_of(target)),
             SOURCE_REGISTERED: lambda path: write(moved, path, like=target),
             FUSED: lambda path: write(merged, path, like=target),
         }

@@ -19,6 +19,25 @@ way into PLY and PCD, whose readers expect 0..255.
 """
 
 from tmchho.io.atomic import atomic_path, check_output, check_writable_folder
-from tmchho.io.registry import known_extensions, read, write
+from tmchho.io.registry import (
+    is_las,
+    known_extensions,
+    las_parts,
+    open_las,
+    read,
+    write,
+    writing_las,
+)
 
-__all__ = ["atomic_path", "check_output", "check_writable_folder", "known_extensions", "read", "write"]
+__all__ = [
+    "atomic_path",
+    "check_output",
+    "check_writable_folder",
+    "is_las",
+    "known_extensions",
+    "las_parts",
+    "open_las",
+    "read",
+    "write",
+    "writing_las",
+]

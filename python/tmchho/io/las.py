@@ -59,7 +59,7 @@ def _read(path: Path) -> PointCloud:
     unpacked = laspy.PackedPointRecord(records, point_format)
     attributes = {name: np.array(unpacked[name]) for name in standard if name not in ("X", "Y", "Z")}
     attributes.update({dimension.name: dimension.decode(records[dimension.name]) for dimension in extra})
-    crs = _crs(header)
+    crs = crs_of(header)
     metadata = {"format": "las", "header": header, "extra_dimensions": tuple(extra), "crs": crs}
     return PointCloud(xyz, attributes, crs, metadata, str(path))
 
@@ -88,7 +88,7 @@ def _check_bounds(xyz: NDArray[np.float64], header: LasHeader) -> None:
         logger.warning("points lie up to %.6g outside the bounds in the header", excess)
 
 
-def _crs(header: LasHeader) -> str | None:
+def crs_of(header: LasHeader) -> str | None:
     """Return the coordinate reference system as WKT: from its own record, or by pyproj from GeoTIFF keys."""
     wkt = header.find(WKT)
     if wkt is not None and wkt.strip(b"\0 "):

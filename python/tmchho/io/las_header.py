@@ -96,6 +96,11 @@ class LasHeader:
     records: tuple[Record, ...]
     extended_records: tuple[Record, ...]
 
+    @property
+    def has_waveforms(self) -> bool:
+        """Whether the points carry packets of a waveform, which LAZ has no room for."""
+        return self.point_format in (4, 5, 9, 10)
+
     def find(self, key: tuple[str, int]) -> bytes | None:
         """Return the bytes of the first record with that owner and number, None if there is none."""
         for record in (*self.records, *self.extended_records):

@@ -9,9 +9,10 @@ Source: M. Isenburg, "LASzip: lossless compression of LiDAR data" (2013); "LAZ S
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import lazrs  # type: ignore[import-untyped, unused-ignore]
 import numpy as np
@@ -61,34 +62,65 @@ def decompress(path: Path, header: LasHeader) -> NDArray[np.uint8]:
         If the file is truncated or damaged.
     """
     compression = _compression(header)
-    n_bytes = path.stat().st_size
+    with path.open("rb") as stream:
+        decoder = _decoder(stream, header, compression)
+        data = np.empty(header.n_points * header.point_bytes, dtype=np.uint8)
+        for part in _parts_between_signals(data, header, compression):
+            _decode(decoder, part, header)
+    return data
+
+
+def decompress_parts(path: Path, header: LasHeader, points_at_once: int) -> Iterator[NDArray[np.uint8]]:
+    """Give the bytes of the points in parts of about so many points, in the file's order.
+
+    Raises
+    ------
+    ReadError
+        As `decompress`.
+    """
+    compression = _compression(header)
+    has_equal_chunks = compression.compressor != _POINTWISE and compression.chunk_size != _VARIABLE_CHUNKS
+    step = points_at_once
+    if has_equal_chunks:  # whole ones, which the decoder shares out among threads
+        step = -(-points_at_once // compression.chunk_size) * compression.chunk_size
+    with path.open("rb") as stream:
+        decoder = _decoder(stream, header, compression, in_parts=not has_equal_chunks)
+        for start in range(0, header.n_points, step):
+            part = np.empty(min(step, header.n_points - start) * header.point_bytes, dtype=np.uint8)
+            _decode(decoder, part, header)
+            yield part
+
+
+def _decoder(stream: IO[bytes], header: LasHeader, compression: _Compression, in_parts: bool = False) -> Any:
+    """Return a decoder at the first point, once the file is found to hold what it promises."""
+    n_bytes = stream.seek(0, 2)
     n_packed = n_bytes - header.points_at
     if header.n_points > n_packed * _MAX_POINTS_PER_BYTE:
         raise ReadError(
             f"promises {header.n_points} points in {n_packed} compressed bytes, which cannot be; "
             "export it again"
         )
-    with path.open("rb") as stream:
-        if compression.compressor == _POINTWISE:
-            stream.seek(header.points_at)
-            # These old files know no chunks; any length will do, but the decoder stumbles over none.
-            decoder = lazrs.LasZipDecompressor(stream, compression.with_chunk_size(_VARIABLE_CHUNKS - 1))
-        else:
-            _check_chunks(stream, header, compression, n_bytes)
-            stream.seek(header.points_at)
-            chunk_size = compression.chunk_size
-            if chunk_size != _VARIABLE_CHUNKS:  # the decoder makes room for a whole chunk at once
-                chunk_size = min(chunk_size, header.n_points)
-            decoder = lazrs.ParLasZipDecompressor(stream, compression.with_chunk_size(chunk_size))
-        data = np.empty(header.n_points * header.point_bytes, dtype=np.uint8)
-        try:
-            for part in _parts_between_signals(data, header, compression):
-                decoder.decompress_many(part)
-        except lazrs.LazrsError as error:
-            raise ReadError(
-                f"is damaged: its {header.n_points} points cannot be decompressed ({error}); copy it again"
-            ) from error
-    return data
+    if compression.compressor == _POINTWISE:
+        stream.seek(header.points_at)
+        # These old files know no chunks; any length will do, but the decoder stumbles over none.
+        return lazrs.LasZipDecompressor(stream, compression.with_chunk_size(_VARIABLE_CHUNKS - 1))
+    _check_chunks(stream, header, compression, n_bytes)
+    stream.seek(header.points_at)
+    if in_parts:  # of any length, which only the decoder without threads allows
+        return lazrs.LasZipDecompressor(stream, compression.record)
+    chunk_size = compression.chunk_size
+    if chunk_size != _VARIABLE_CHUNKS:  # the decoder makes room for a whole chunk at once
+        chunk_size = min(chunk_size, header.n_points)
+    return lazrs.ParLasZipDecompressor(stream, compression.with_chunk_size(chunk_size))
+
+
+def _decode(decoder: Any, part: NDArray[np.uint8], header: LasHeader) -> None:
+    try:
+        decoder.decompress_many(part)
+    except lazrs.LazrsError as error:
+        raise ReadError(
+            f"is damaged: its {header.n_points} points cannot be decompressed ({error}); copy it again"
+        ) from error
 
 
 def _parts_between_signals(

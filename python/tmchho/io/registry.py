@@ -21,7 +21,7 @@ from tmchho.errors import (
     TmchhoError,
     WriteError,
 )
-from tmchho.io import las, mesh, npy, pcd, ply, text
+from tmchho.io import las, las_stream, mesh, npy, pcd, ply, text
 from tmchho.io.atomic import atomic_path, reason
 from tmchho.io.format import Format
 
@@ -86,10 +86,7 @@ def read(path: str | os.PathLike[str], *, format: str | None = None) -> PointClo
         If the points do not fit into memory.
     """
     path = Path(path)
-    if not os.path.exists(path):
-        raise ReadError(f"{path}: does not exist; check the name and the folder")
-    if path.is_dir():
-        raise ReadError(f"{path}: is a folder; name a file in it")
+    _check_exists(path)
     family = _format_to_read(path, format)
     with _reading(path, family):
         head = _head_of(path)
@@ -148,6 +145,48 @@ def write(
     with atomic_path(path, overwrite, inputs) as temporary, _writing(path, family):
         family.write(cloud, temporary, (cloud if like is None else like).metadata)
     logger.info("%s: wrote %d points", path, len(cloud))
+
+
+def is_las(path: str | os.PathLike[str]) -> bool:
+    """Return whether `read` would read this file as LAS or LAZ."""
+    return _BY_EXTENSION.get(Path(path).suffix.lower()) is las.FORMAT
+
+
+def open_las(path: str | os.PathLike[str]) -> las_stream.LasPoints:
+    """Open a LAS or LAZ file for reading in parts.
+
+    Raises
+    ------
+    ReadError
+        If it is missing, empty, damaged or without points, in one sentence that names the file.
+    """
+    path = Path(path)
+    _check_exists(path)
+    with _reading(path, las.FORMAT):
+        _check_kind(_head_of(path), las.FORMAT)
+        return las_stream.LasPoints.open(path)
+
+
+def las_parts(
+    points: las_stream.LasPoints, points_at_once: int = las_stream.POINTS_AT_ONCE
+) -> Iterator[las_stream.Records]:
+    """Give the records of an open file in parts; errors name the file, as those of `read` do."""
+    with _reading(points.path, las.FORMAT):
+        yield from points.parts(points_at_once)
+
+
+@contextmanager
+def writing_las(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Turn what goes wrong while a LAS file is written into one sentence that names it."""
+    with _writing(Path(path), las.FORMAT):
+        yield
+
+
+def _check_exists(path: Path) -> None:
+    if not os.path.exists(path):
+        raise ReadError(f"{path}: does not exist; check the name and the folder")
+    if path.is_dir():
+        raise ReadError(f"{path}: is a folder; name a file in it")
 
 
 def _format_to_read(path: Path, format: str | None) -> Format:
