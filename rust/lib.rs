@@ -22,8 +22,10 @@ pub mod neighbors;
 pub mod normals;
 pub mod observations;
 pub mod optim;
+pub mod overlap;
 pub mod point_to_plane;
 pub mod spacing;
+pub mod surface_area;
 pub mod surface_cloud;
 pub mod uncertainty;
 
@@ -35,6 +37,7 @@ pub mod fuse;
 pub mod icp;
 pub mod keypoints;
 pub mod outlier;
+pub mod running_voxels;
 pub mod verdict;
 pub mod voxel;
 

@@ -38,6 +38,10 @@ class FusedCloud(ReadOnlyArrays):
         As given or derived.
     n_filled_by_source, n_filled_by_target : int
         How many points of the one cloud fill a hole of the other.
+    area_filled_by_source, area_filled_by_target : float
+        Area of the surface that these points show, to about one hole radius along its rim.
+    n_repeated : int
+        Points of the source that were left out because they repeat the target.
     """
 
     points: NDArray[np.float64]
@@ -48,6 +52,9 @@ class FusedCloud(ReadOnlyArrays):
     hole_radius: float
     n_filled_by_source: int
     n_filled_by_target: int
+    area_filled_by_source: float
+    area_filled_by_target: float
+    n_repeated: int
 
     def to_point_cloud(self, source: PointCloud, target: PointCloud) -> PointCloud:
         """Return the points with the attributes of the clouds they come from.

@@ -135,8 +135,9 @@ _REPLAYED = (
 )
 @click.option(
     "--fuse",
-    type=click.Choice(["merge", "fill-holes"]),
-    help="Take all points of the source (merge, default), or only those that fill holes of the target.",
+    type=click.Choice(["merge", "dedup", "fill-holes"]),
+    help="Take all points of the source (merge, default), all but those that repeat the target (dedup), or "
+    "only those that fill holes of the target.",
 )
 @json_option
 @quiet_option

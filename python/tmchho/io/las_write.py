@@ -168,6 +168,18 @@ def _choose_format(attributes: dict[str, NDArray[Any]], old: LasHeader | None) -
     return number, version
 
 
+def format_for(old: LasHeader, other: LasHeader) -> tuple[int, tuple[int, int]]:
+    """Return the point format and version of `old`, raised only where they cannot hold the points of `other`.
+
+    Waveforms, which stand in a file of their own, are left out.
+    """
+    needed = (set(_FEATURES[old.point_format]) | set(_FEATURES[other.point_format])) - {"wave"}
+    is_extended = max(old.point_format, other.point_format) >= _EXTENDED or "nir" in needed
+    candidates = range(_EXTENDED, 11) if is_extended else range(_EXTENDED)
+    number = next(candidate for candidate in candidates if needed <= _FEATURES[candidate])
+    return number, max(_OLDEST_VERSIONS[number], old.version)
+
+
 def _needs_extended(attributes: dict[str, NDArray[Any]]) -> bool:
     if np.any(attributes.get("scan_angle", 0)):
         return True
@@ -186,7 +198,7 @@ def _sorted_out(
     standard: dict[str, NDArray[Any]] = {}
     extra: dict[str, NDArray[Any]] = {}
     dimensions = {dimension.name: dimension for dimension in point_format.dimensions}
-    attributes = _with_scan_angle(attributes, dimensions)
+    attributes = with_scan_angle(attributes, dimensions)
     for name, values in attributes.items():
         dimension = dimensions.get(name)
         if dimension is None:
@@ -204,7 +216,7 @@ def _sorted_out(
     return standard, _extra_dimensions(extra, {dimension.name: dimension for dimension in kept})
 
 
-def _with_scan_angle(
+def with_scan_angle(
     attributes: dict[str, NDArray[Any]], dimensions: Mapping[str, Any]
 ) -> dict[str, NDArray[Any]]:
     """Turn the whole degrees of the legacy formats into the finer steps of the extended ones."""
