@@ -11,6 +11,8 @@ import hashlib
 import json
 import os
 import platform
+import shutil
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -21,6 +23,7 @@ import numpy as np
 
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError, WriteError
+from tmchho.fused import lacking
 from tmchho.io import atomic_path, check_output, check_writable_folder
 from tmchho.moving import moved
 from tmchho.transform import (
@@ -58,6 +61,7 @@ __all__ = [
     "quaternion_wxyz",
     "read_matrix",
     "result_document",
+    "staging",
     "write_together",
 ]
 
@@ -195,6 +199,29 @@ def _made_folder(folder: Path) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def staging(folder: StrPath) -> Iterator[Path]:
+    """Lend a folder within `folder` for files on their way.
+
+    It goes whatever happens; on an error, so does every folder that had to be made.
+    """
+    folder = Path(folder)
+    with _made_folder(folder):
+        try:
+            scratch = Path(tempfile.mkdtemp(prefix=".tmchho-", dir=folder))
+        except OSError as error:
+            raise WriteError(f"{folder}: no folder can be made in it ({error.strerror})") from error
+        try:
+            yield scratch
+        except OSError as error:
+            raise WriteError(
+                f"{folder}: the intermediate files, about 20 bytes a point, and the results cannot be "
+                f"written there ({error.strerror or error}); make room or choose another folder"
+            ) from error
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
 def moved_source(registration: Registration, source: PointCloud, target: PointCloud) -> PointCloud:
     """Return the source in the target's frame, with every attribute it had; normals are turned along.
 
@@ -256,7 +283,7 @@ def result_document(
     registration: Registration,
     source: InputFile,
     target: InputFile,
-    fused: FusedCloud | None,
+    fused: Mapping[str, Any] | None,
     command: str,
 ) -> dict[str, Any]:
     """Return what ``result.json`` holds.
@@ -270,8 +297,8 @@ def result_document(
         What was found.
     source, target : InputFile
         From what.
-    fused : FusedCloud, optional
-        What it was fused to; None where the pose was rejected.
+    fused : mapping, optional
+        What it was fused to, as `fused_counts` tells; None where the pose was rejected.
     command : str
         Command line that gives the same result again.
 
@@ -290,7 +317,7 @@ def result_document(
             "quaternion_wxyz": quaternion_wxyz(matrix),
         },
         "inputs": {"source": vars(source), "target": vars(target)},
-        "fused": None if fused is None else fused_counts(fused),
+        "fused": None if fused is None else dict(fused),
         "versions": {
             "tmchho": registration.version,
             "numpy": np.__version__,
@@ -301,8 +328,18 @@ def result_document(
     return document
 
 
-def fused_counts(fused: FusedCloud) -> dict[str, Any]:
-    """Return how many points of the fused cloud come from where, as in ``result.json``."""
+def fused_counts(fused: FusedCloud, source: PointCloud, target: PointCloud, mode: str) -> dict[str, Any]:
+    """Return how many points of the fused cloud come from where, and what they fill, as in ``result.json``.
+
+    Parameters
+    ----------
+    fused : FusedCloud
+        The fused cloud.
+    source, target : PointCloud
+        What it was fused from.
+    mode : {'merge', 'dedup', 'fill_holes'}
+        How.
+    """
     n_source = int(np.count_nonzero(fused.origin))
     return {
         "n_points": len(fused.points),
@@ -310,7 +347,12 @@ def fused_counts(fused: FusedCloud) -> dict[str, Any]:
         "n_from_source": n_source,
         "n_filled_by_source": int(fused.n_filled_by_source),
         "n_filled_by_target": int(fused.n_filled_by_target),
+        "n_repeated": int(fused.n_repeated),
+        "area_filled_by_source": float(fused.area_filled_by_source),
+        "area_filled_by_target": float(fused.area_filled_by_target),
         "hole_radius": float(fused.hole_radius),
+        "mode": mode,
+        "no_data": {"source": lacking(source, target), "target": lacking(target, source)},
     }
 
 

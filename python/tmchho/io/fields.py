@@ -23,20 +23,20 @@ COLOURS = ("red", "green", "blue")
 AXES = ("x", "y", "z")
 
 # Looked up in lower case without blanks, underscores and CloudCompare's prefix "scalar_".
+_LAS_NAMES = (
+    *(*COLOURS, "nir", "intensity", "return_number", "number_of_returns"),
+    *("scan_direction_flag", "edge_of_flight_line", "classification", "synthetic", "key_point"),
+    *("withheld", "overlap", "scanner_channel", "scan_angle_rank", "scan_angle", "user_data"),
+    *("point_source_id", "gps_time"),
+)
+LAS_NAMES = frozenset(_LAS_NAMES)
+
 _CANONICAL_NAMES = {
     **{axis: axis for axis in AXES},
     **{"diffusered": "red", "diffusegreen": "green", "diffuseblue": "blue"},
     **{"normalx": "nx", "normaly": "ny", "normalz": "nz"},
     **{"returnnum": "return_number", "numreturns": "number_of_returns", "infrared": "nir"},
-    **{
-        name.replace("_", ""): name
-        for name in (
-            *(*COLOURS, "alpha", "nx", "ny", "nz", "nir", "intensity", "return_number", "number_of_returns"),
-            *("scan_direction_flag", "edge_of_flight_line", "classification", "synthetic", "key_point"),
-            *("withheld", "overlap", "scanner_channel", "scan_angle_rank", "scan_angle", "user_data"),
-            *("point_source_id", "gps_time"),
-        )
-    },
+    **{name.replace("_", ""): name for name in (*_LAS_NAMES, "alpha", "nx", "ny", "nz")},
 }
 
 

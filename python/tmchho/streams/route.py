@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,10 +14,9 @@ import numpy as np
 from tmchho import _core
 from tmchho.cloud import PointCloud
 from tmchho.config import ConfigLike
-from tmchho.errors import WriteError
 from tmchho.io import open_las, writing_las
-from tmchho.io.atomic import reason
 from tmchho.io.las_stream import LasPoints
+from tmchho.outputs import staging
 from tmchho.pipeline import register
 from tmchho.progress import ProgressCallback
 from tmchho.results import DistanceStatistics, Registration, StageRecord
@@ -164,7 +161,7 @@ def fuse_files(
     """
     allowed = default_max_memory() if max_memory is None else max_memory
     seconds: dict[str, float] = {}
-    with _scratch(folder) as scratch:
+    with staging(folder) as scratch:
         with _timed(seconds, "sort"):
             moved = transform.apply(thinned_source.points)
             places = np.concatenate([moved, thinned_target.points])
@@ -223,21 +220,3 @@ def _timed(seconds: dict[str, float], key: str) -> Iterator[None]:
     began = time.perf_counter()
     yield
     seconds[key] = time.perf_counter() - began
-
-
-@contextmanager
-def _scratch(folder: Path) -> Iterator[Path]:
-    """Lend a folder for intermediate files, which is removed whatever happens."""
-    try:
-        scratch = Path(tempfile.mkdtemp(prefix=".tmchho-", dir=folder))
-    except OSError as error:
-        raise WriteError(f"{folder}: no folder can be made in it ({reason(error)})") from error
-    try:
-        yield scratch
-    except OSError as error:
-        raise WriteError(
-            f"{folder}: the intermediate files, 20 bytes a point, cannot be written there ({reason(error)}); "
-            "make room or choose another output folder"
-        ) from error
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)

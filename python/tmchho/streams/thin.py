@@ -66,8 +66,8 @@ def thin_file(
     file : LasPoints
         See `tmchho.io.open_las`.
     voxel_size : float, optional
-        Edge of the voxels; the centroids are then, to the bit, those of `tmchho.voxel_downsample` of the whole
-        file, unless `max_voxels` is exceeded. Where not given, as fine as `max_voxels` allows.
+        Edge of the voxels; the centroids are then, to the bit, those of `tmchho.voxel_downsample` of the
+        whole file, unless `max_voxels` is exceeded. Where not given, as fine as `max_voxels` allows.
     max_voxels : int, optional
         Most voxels; the edge is doubled until there are no more.
     keep : callable, optional
