@@ -69,7 +69,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         for selection, file in zip(job.selections or (None, None), (source, target), strict=True)
     ]
     with shown.step("register", "thinning both files"):
-        registration, thinned_source, thinned_target = register_files(
+        found = register_files(
             job.source,
             job.target,
             config=job.settings,
@@ -78,8 +78,9 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             keep_target=keeps[1],
             progress=shown.on_event,
         )
-    document_of: Callable[..., dict[str, Any]] = lambda found, fused: result_document(  # noqa: E731
-        found, *files, fused, job.command
+    registration = found.registration
+    document_of: Callable[..., dict[str, Any]] = lambda of, fused: result_document(  # noqa: E731
+        of, *files, fused, job.command
     )
     if registration.verdict == "rejected":
         document = document_of(registration, None)
@@ -97,8 +98,8 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             fusion = fuse_files(
                 source,
                 target,
-                thinned_source,
-                thinned_target,
+                found.source,
+                found.target,
                 Transform.of(registration),
                 scratch / FUSED,
                 scratch / SOURCE_REGISTERED,
@@ -118,11 +119,11 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         document = document_of(registration, fusion.report)
         document["in_parts"] = {
             "max_memory": max_memory,
-            "source_voxel_size": thinned_source.voxel_size,
-            "target_voxel_size": thinned_target.voxel_size,
+            "source_voxel_size": found.source.voxel_size,
+            "target_voxel_size": found.target.voxel_size,
             "distances_exact_up_to": fusion.exact_up_to,
             "error_of_larger_distances": fusion.far_error,
-            "seconds": fusion.seconds,
+            "seconds": found.seconds | fusion.seconds,
         }
         text = json_text(document)
         outputs: dict[str, Callable[[Path], object]] = {

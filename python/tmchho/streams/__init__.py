@@ -5,10 +5,11 @@ found for those, and all points are measured and fused again at full density, ti
 """
 
 from tmchho.streams.memory import default_max_memory, needs_streams, parse_bytes
-from tmchho.streams.route import StreamedFusion, fuse_files, register_files
+from tmchho.streams.route import StreamedFusion, StreamedRegistration, fuse_files, register_files
 
 __all__ = [
     "StreamedFusion",
+    "StreamedRegistration",
     "default_max_memory",
     "fuse_files",
     "needs_streams",

@@ -52,7 +52,7 @@ class StreamedFusion:
     report : dict
         What ``result.json`` tells of the fusion.
     seconds : dict
-        Wall time of each part.
+        Of each part, ``wall`` and ``process``: what the clock says and what the processors worked.
     """
 
     source_to_target: DistanceStatistics
@@ -62,7 +62,27 @@ class StreamedFusion:
     exact_up_to: float
     far_error: float
     report: dict[str, Any]
-    seconds: dict[str, float]
+    seconds: dict[str, dict[str, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class StreamedRegistration:
+    """What came of registering two files part by part.
+
+    Parameters
+    ----------
+    registration : Registration
+        Of the thinned clouds; its first stage is called ``thin``.
+    source, target : ThinnedFile
+        These.
+    seconds : dict
+        See `StreamedFusion`.
+    """
+
+    registration: Registration
+    source: ThinnedFile
+    target: ThinnedFile
+    seconds: dict[str, dict[str, float]]
 
 
 def register_files(
@@ -74,7 +94,7 @@ def register_files(
     keep_source: Keep | None = None,
     keep_target: Keep | None = None,
     progress: ProgressCallback | None = None,
-) -> tuple[Registration, ThinnedFile, ThinnedFile]:
+) -> StreamedRegistration:
     """Register two LAS, LAZ or COPC files of any size.
 
     Parameters
@@ -92,29 +112,31 @@ def register_files(
 
     Returns
     -------
-    tuple
-        The registration, of the thinned clouds, and these.
+    StreamedRegistration
     """
     allowed = default_max_memory() if max_memory is None else max_memory
-    began = time.perf_counter()
-    thinned = [
-        thin_file(open_las(path), max_voxels=n_centroids(allowed), keep=keep)
-        for path, keep in ((source, keep_source), (target, keep_target))
-    ]
-    seconds = time.perf_counter() - began
+    seconds: dict[str, dict[str, float]] = {}
+    with _timed(seconds, "thin"):
+        thinned = [
+            thin_file(open_las(path), max_voxels=n_centroids(allowed), keep=keep)
+            for path, keep in ((source, keep_source), (target, keep_target))
+        ]
     clouds = [
         PointCloud(file.points, name=str(path)) for path, file in zip((source, target), thinned, strict=True)
     ]
-    found = register(*clouds, config=config, progress=progress)
+    with _timed(seconds, "register"):
+        found = register(*clouds, config=config, progress=progress)
     record = StageRecord(
         name="thin",
         n_source_in=thinned[0].n_points,
         n_source_out=len(thinned[0].points),
         n_target_in=thinned[1].n_points,
         n_target_out=len(thinned[1].points),
-        seconds=seconds,
+        seconds=seconds["thin"]["wall"],
     )
-    return replace(found, stages=(record, *found.stages)), thinned[0], thinned[1]
+    return StreamedRegistration(
+        replace(found, stages=(record, *found.stages)), thinned[0], thinned[1], seconds
+    )
 
 
 def fuse_files(
@@ -160,7 +182,7 @@ def fuse_files(
     StreamedFusion
     """
     allowed = default_max_memory() if max_memory is None else max_memory
-    seconds: dict[str, float] = {}
+    seconds: dict[str, dict[str, float]] = {}
     with staging(folder) as scratch:
         with _timed(seconds, "sort"):
             moved = transform.apply(thinned_source.points)
@@ -216,7 +238,7 @@ def fuse_files(
 
 
 @contextmanager
-def _timed(seconds: dict[str, float], key: str) -> Iterator[None]:
-    began = time.perf_counter()
+def _timed(seconds: dict[str, dict[str, float]], key: str) -> Iterator[None]:
+    wall, process = time.perf_counter(), time.process_time()
     yield
-    seconds[key] = time.perf_counter() - began
+    seconds[key] = {"wall": time.perf_counter() - wall, "process": time.process_time() - process}
