@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tmchho.cloud import PointCloud
 from tmchho.errors import InvalidArgumentError
 from tmchho.io.fields import LAS_NAMES, canonical_name
+from tmchho.io.las_write import with_scan_angle
 from tmchho.results import ReadOnlyArrays
 
 _TARGET, _SOURCE = 0, 1
@@ -87,6 +88,7 @@ class FusedCloud(ReadOnlyArrays):
                     f"{name} has {len(cloud)} points, but row {rows.max()} was fused: "
                     "give the clouds that were given to fuse"
                 )
+        source, target = _with_one_scan_angle(source, target)
         attributes: dict[str, NDArray[Any]] = {}
         factors = colour_factors(source, target)
         for name in (*target.attributes, *(key for key in source.attributes if key not in target.attributes)):
@@ -146,6 +148,17 @@ def colour_factors(*clouds: PointCloud) -> tuple[int, ...]:
         brightest.append(max((int(values.max()) for values in whole), default=0))
     is_wide = max(brightest) > 255
     return tuple(256 if is_wide and 0 < value <= 255 else 1 for value in brightest)
+
+
+def _with_one_scan_angle(source: PointCloud, target: PointCloud) -> tuple[PointCloud, PointCloud]:
+    """Bring whole degrees into the finer steps of LAS 1.4 where only one of the clouds has these."""
+    clouds = (source, target)
+    if not any("scan_angle" in cloud.attributes for cloud in clouds):
+        return clouds
+    renewed = [
+        replace(cloud, attributes=with_scan_angle(dict(cloud.attributes), {"scan_angle"})) for cloud in clouds
+    ]
+    return renewed[0], renewed[1]
 
 
 @dataclass(frozen=True)

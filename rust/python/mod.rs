@@ -43,6 +43,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(optim::levy_steps, module)?)?;
     module.add_function(wrap_pyfunction!(streams::distances_within, module)?)?;
     module.add_function(wrap_pyfunction!(streams::spacing_sample, module)?)?;
+    module.add_function(wrap_pyfunction!(streams::tile_of, module)?)?;
     module.add_function(wrap_pyfunction!(streams::hole_radius_rule, module)?)?;
     module.add_class::<streams::RunningVoxels>()?;
     module.add_class::<streams::PointIndex>()?;

@@ -7,11 +7,11 @@ use super::arrays::{ReadArray, dict, from_points, from_vec, points};
 use super::run::{briefly, with_progress};
 use crate::cloud::{Cloud, Point};
 use crate::error::Error;
-use crate::neighbors::NeighborIndex;
+use crate::neighbors::{Neighbor, NeighborIndex};
 use crate::overlap;
 use crate::parallel;
 use crate::running_voxels::{self, Thinned};
-use crate::{evaluate, fuse, surface_area};
+use crate::{fuse, surface_area};
 
 /// Sums up points by voxels, part by part.
 #[pyclass(module = "tmchho._core")]
@@ -89,9 +89,8 @@ pub(super) fn distances_within<'py>(
                 )?)
             }
         };
-        let distance = |found: &Option<crate::neighbors::Neighbor>| {
-            found.map_or(f32::INFINITY, |n| n.distance_sq.sqrt() as f32)
-        };
+        let distance =
+            |found: &Option<Neighbor>| found.map_or(f32::INFINITY, |n| n.distance_sq.sqrt() as f32);
         Ok((nearest.iter().map(distance).collect::<Vec<f32>>(), flags))
     })?;
     briefly(|| {
@@ -100,6 +99,36 @@ pub(super) fn distances_within<'py>(
             repeated.map(|flags| from_vec(py, flags)),
         ))
     })
+}
+
+/// The number of the tile of each row: `axes` and `places` are the cuts of a complete binary tree, and
+/// what lies above a cut goes to its second branch.
+#[pyfunction]
+pub(super) fn tile_of<'py>(
+    py: Python<'py>,
+    array: ReadArray<'py>,
+    axes: Vec<u8>,
+    places: Vec<f64>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let given = points(&array)?;
+    let tiles = with_progress(py, None, |progress| {
+        let is_tree = axes.len() == places.len()
+            && (axes.len() + 1).is_power_of_two()
+            && axes.len() <= usize::from(u16::MAX)
+            && axes.iter().all(|&axis| axis < 3);
+        if !is_tree {
+            return Err(Error::argument("cuts", "must be a complete binary tree"));
+        }
+        let n_levels = (axes.len() + 1).ilog2();
+        parallel::map_cheap(given.len(), progress, |i| {
+            let node = (0..n_levels).fold(0, |node, _| {
+                let above = given[i][usize::from(axes[node])] > places[node];
+                2 * node + 1 + usize::from(above)
+            });
+            (node - axes.len()) as u16
+        })
+    })?;
+    briefly(|| Ok(from_vec(py, tiles)))
 }
 
 /// Points that distances are measured to, again and again.
@@ -133,7 +162,9 @@ impl PointIndex {
         let distances = with_progress(py, None, |progress| {
             let to_local = |p: &Point| std::array::from_fn(|axis| p[axis] - self.origin[axis]);
             let places: Vec<Point> = given.iter().map(to_local).collect();
-            evaluate::nearest_distances(&places, &self.index, progress)
+            let nearest = overlap::nearest_within(&places, &self.index, f64::INFINITY, progress)?;
+            let distance = |n: &Option<Neighbor>| n.map_or(f64::INFINITY, |n| n.distance_sq.sqrt());
+            Ok(nearest.iter().map(distance).collect::<Vec<f64>>())
         })?;
         briefly(|| Ok(from_vec(py, distances)))
     }

@@ -6,7 +6,7 @@ Source: ASPRS, "LAS Specification 1.4 - R15" (2019).
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import date, timedelta
 from pathlib import Path
@@ -217,13 +217,13 @@ def _sorted_out(
 
 
 def with_scan_angle(
-    attributes: dict[str, NDArray[Any]], dimensions: Mapping[str, Any]
+    attributes: dict[str, NDArray[Any]], dimensions: Container[str]
 ) -> dict[str, NDArray[Any]]:
     """Turn the whole degrees of the legacy formats into the finer steps of the extended ones."""
     if "scan_angle" not in dimensions or "scan_angle_rank" not in attributes or "scan_angle" in attributes:
         return attributes
     result = dict(attributes)
-    result["scan_angle"] = np.rint(result.pop("scan_angle_rank") / _DEGREES_PER_STEP)
+    result["scan_angle"] = np.rint(result.pop("scan_angle_rank") / _DEGREES_PER_STEP).astype(np.int16)
     return result
 
 

@@ -16,7 +16,8 @@ from tmchho.streams.tiles import TiledFile
 Floats = NDArray[np.float64]
 
 _FAR_CENTROIDS = 300_000
-_SPACING_TILES = 12
+_SPACING_BLOCKS = 48
+_FEWEST_IN_BLOCK = 100  # of fewer, too many have their neighbours in the next block
 _SPACINGS = 10_000
 _AT_ONCE = 4_000_000
 _BINS = 1 << 16
@@ -123,16 +124,19 @@ class DistanceFile:
 
 
 def spacing_quantile(tiled: TiledFile, quantile: float) -> float:
-    """Return a quantile of the distance to the nearest other point, over samples of a dozen tiles."""
-    used = np.flatnonzero(tiled.n_in_tile > 1)
-    chosen = used[np.unique(np.linspace(0, len(used) - 1, _SPACING_TILES).round().astype(int))]
-    total = tiled.n_in_tile[chosen].sum()
+    """Return a quantile of the distance to the nearest other point, over samples of some blocks."""
+    sizes = np.diff(tiled.bounds, axis=1).sum(axis=0)
+    used = np.flatnonzero(sizes > _FEWEST_IN_BLOCK)
+    if not len(used):
+        used = np.flatnonzero(sizes == sizes.max())
+    chosen = used[np.unique(np.linspace(0, len(used) - 1, _SPACING_BLOCKS).round().astype(int))]
     samples = []
-    for tile in chosen:
-        points, _ = tiled.read(int(tile))
-        n_sampled = max(1, round(_SPACINGS * len(points) / total))
+    for block in chosen:
+        points = tiled.read_block(int(block))
+        n_sampled = max(1, round(_SPACINGS * len(points) / sizes[chosen].sum()))
         samples.append(_core.spacing_sample(points, n_sampled))
-    return float(np.quantile(np.concatenate(samples), quantile)) if samples else 0.0
+    spacings = np.concatenate(samples)
+    return float(np.quantile(spacings, quantile)) if len(spacings) else 0.0
 
 
 def measure_tiles(
@@ -140,6 +144,7 @@ def measure_tiles(
     target: TiledFile,
     far_source: FarCloud,
     far_target: FarCloud,
+    n_tiles: int,
     reach: float,
     folder: Path,
     *,
@@ -153,6 +158,8 @@ def measure_tiles(
         In one frame, cut alike.
     far_source, far_target : FarCloud
         What stands for them beyond the reach.
+    n_tiles : int
+        Into how many tiles both are cut.
     reach : float
         Distances up to this are exact.
     folder : Path
@@ -171,11 +178,12 @@ def measure_tiles(
         with path.open("wb") as stream:
             stream.truncate(4 * len(tiled.file))
         files.append(DistanceFile(path, len(tiled.file)))
-    for tile in range(len(source.n_in_tile)):
-        if not (source.n_in_tile[tile] or target.n_in_tile[tile]):
+    for tile in range(n_tiles):
+        corners = [tiled.box(tile) for tiled in (source, target)]
+        low = np.minimum(corners[0][0], corners[1][0]) - reach
+        high = np.maximum(corners[0][1], corners[1][1]) + reach
+        if not np.isfinite(low).all():
             continue
-        low = np.minimum(source.lows[tile], target.lows[tile]) - reach
-        high = np.maximum(source.highs[tile], target.highs[tile]) + reach
         sides = []
         for tiled in (source, target):
             own, index = tiled.read(tile)

@@ -109,7 +109,7 @@ class FusedLayout:
             into[names[dimension.name]] = records[dimension.name]
 
     def lacking(self, file: LasPoints, names: Mapping[str, str]) -> dict[str, Any]:
-        """Return the attributes of the layout that a file lacks, and what its points have instead."""
+        """Return the attributes that a file lacks, and what its points have instead; NaN is None."""
         own = {d.name for d in laspy.PointFormat(file.header.point_format).dimensions}
         own |= {"scan_angle"} if "scan_angle_rank" in own else set()
         lacked: dict[str, Any] = {
@@ -121,7 +121,7 @@ class FusedLayout:
         for dimension in self.extra[: -len(ADDED)]:
             if dimension.name not in names.values():
                 value = no_data_of(dimension)
-                lacked[dimension.name] = 0 if value is None else value
+                lacked[dimension.name] = 0 if value is None else None if np.isnan(value).any() else value
         return lacked
 
 

@@ -205,6 +205,7 @@ def fuse_files(
                 tiled_target,
                 far_source,
                 far_target,
+                cuts.n_tiles,
                 reach,
                 scratch,
                 repeated_within=hole_radius if mode == "dedup" else None,

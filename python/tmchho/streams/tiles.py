@@ -1,19 +1,19 @@
 """Space cut into tiles that hold about equally many points, and the points of two files sorted into them.
 
-Why on disk: neighbours can only be found among points that are in memory, and all of them are not. A point is
-kept as its three whole numbers and its place in the file, 16 bytes, so that nothing is rounded twice.
+Why on disk: neighbours can only be found among points that are in memory, and all of them are not. A point
+is kept as its three whole numbers and its place in the file, 16 bytes, so that nothing is rounded twice. Each
+tile is cut into blocks, so that the margin round a tile can be read without its neighbours as wholes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tmchho import _core
 from tmchho.io import las_parts
 from tmchho.io.las_stream import LasPoints
 from tmchho.transform import Transform
@@ -21,29 +21,38 @@ from tmchho.transform import Transform
 Floats = NDArray[np.float64]
 
 _ENTRY = np.dtype([("steps", "<i4", (3,)), ("index", "<u4")])
-_MOST_LEVELS = 8  # 256 tiles: each has two open files
+_MOST_LEVELS = 10  # 1024 tiles
+_BLOCK_LEVELS = 5  # 32 blocks in each
 
 
 @dataclass(frozen=True, eq=False)
 class Cuts:
-    """A complete binary tree of cuts: at each node an axis and a place; its leaves are the tiles."""
+    """A complete binary tree of cuts: at each node an axis and a place; its leaves are the blocks.
 
-    axes: NDArray[np.int64]
-    places: Floats
-    n_levels: int
+    The blocks of a tile have numbers that follow each other.
+    """
+
+    axes: list[int]
+    places: list[float]
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of blocks."""
+        return len(self.axes) + 1
 
     @property
     def n_tiles(self) -> int:
         """Number of tiles."""
-        return 1 << self.n_levels
+        return self.n_blocks >> _BLOCK_LEVELS
 
-    def tile_of(self, points: Floats) -> NDArray[np.int64]:
-        """Return the number of the tile of each point."""
-        node = np.zeros(len(points), dtype=np.int64)
-        rows = np.arange(len(points))
-        for _ in range(self.n_levels):
-            node = 2 * node + 1 + (points[rows, self.axes[node]] > self.places[node])
-        return np.asarray(node - (self.n_tiles - 1))
+    @staticmethod
+    def blocks_of(tile: int) -> tuple[int, int]:
+        """Return the first block of a tile, and the first behind it."""
+        return tile << _BLOCK_LEVELS, (tile + 1) << _BLOCK_LEVELS
+
+    def block_of(self, points: Floats) -> NDArray[np.uint16]:
+        """Return the number of the block of each point."""
+        return _core.tile_of(np.ascontiguousarray(points), self.axes, self.places)
 
 
 def cut_space(points: Floats, counts: NDArray[np.float64], points_per_tile: int) -> Cuts:
@@ -56,10 +65,11 @@ def cut_space(points: Floats, counts: NDArray[np.float64], points_per_tile: int)
     counts : (n,) float64 array
         Points that each of them stands for.
     points_per_tile : int
-        Most points in a tile, about; with more than 256 tiles each holds more.
+        Most points in a tile, about; with more than 1024 tiles each holds more.
     """
-    n_levels = int(np.clip(np.ceil(np.log2(max(1.0, counts.sum() / points_per_tile))), 0, _MOST_LEVELS))
-    axes, places = np.zeros((1 << n_levels) - 1, dtype=np.int64), np.zeros((1 << n_levels) - 1)
+    n_tiles = max(1.0, float(counts.sum()) / points_per_tile)
+    n_levels = min(_MOST_LEVELS, int(np.ceil(np.log2(n_tiles)))) + _BLOCK_LEVELS
+    axes, places = [0] * ((1 << n_levels) - 1), [0.0] * ((1 << n_levels) - 1)
     members = {0: np.arange(len(points))}
     for node in range(len(axes)):
         rows = members.pop(node)
@@ -68,21 +78,35 @@ def cut_space(points: Floats, counts: NDArray[np.float64], points_per_tile: int)
             axis = int(np.argmax(here.max(axis=0) - here.min(axis=0)))
             order = rows[np.argsort(here[:, axis], kind="stable")]
             weights = np.cumsum(counts[order])
-            middle = int(np.searchsorted(weights, weights[-1] / 2))
-            axes[node], places[node] = axis, points[order[min(middle, len(order) - 1)], axis]
+            middle = min(int(np.searchsorted(weights, weights[-1] / 2)), len(order) - 1)
+            axes[node], places[node] = axis, float(points[order[middle], axis])
         above = points[rows, axes[node]] > places[node]
         members[2 * node + 1], members[2 * node + 2] = rows[~above], rows[above]
-    return Cuts(axes, places, n_levels)
+    return Cuts(axes, places)
 
 
 @dataclass(frozen=True, eq=False)
 class TiledFile:
-    """A file whose points are sorted into tiles on disk; `lows` and `highs` are the boxes of their points."""
+    """A file whose points are sorted by block within each part of it, on disk.
+
+    Parameters
+    ----------
+    file : LasPoints
+        The file.
+    transform : Transform, optional
+        Takes its coordinates to the tiles' frame.
+    path : Path
+        The sorted points.
+    bounds : (n_parts, n_blocks + 1) int64 array
+        Where the points of each block begin, part by part.
+    lows, highs : (n_blocks, 3) float64 array
+        Boxes of the points of each block, in the tiles' frame.
+    """
 
     file: LasPoints
     transform: Transform | None
-    folder: Path
-    n_in_tile: NDArray[np.int64]
+    path: Path
+    bounds: NDArray[np.int64]
     lows: Floats
     highs: Floats
 
@@ -96,55 +120,73 @@ class TiledFile:
         """Upper corner of that box."""
         return np.asarray(self.highs.max(axis=0))
 
+    def box(self, tile: int) -> tuple[Floats, Floats]:
+        """Return the box of the points of a tile; the lower corner is infinite where there are none."""
+        blocks = slice(*Cuts.blocks_of(tile))
+        return self.lows[blocks].min(axis=0), self.highs[blocks].max(axis=0)
+
     def read(self, tile: int) -> tuple[Floats, NDArray[np.uint32]]:
         """Return the points of a tile, in the tiles' frame, and where they stand in the file."""
-        if not self.n_in_tile[tile]:
-            return np.empty((0, 3)), np.empty(0, dtype=np.uint32)
-        entries = np.fromfile(self.folder / str(tile), dtype=_ENTRY)
+        entries = self._entries([Cuts.blocks_of(tile)])
         return self._places(entries["steps"]), entries["index"]
+
+    def read_block(self, block: int) -> Floats:
+        """Return the points of one block, in the tiles' frame."""
+        return self._places(self._entries([(block, block + 1)])["steps"])
 
     def near(self, tile: int, low: Floats, high: Floats) -> Floats:
         """Return the points of all other tiles that lie in a box."""
-        found = [np.empty((0, 3))]
-        for other in np.flatnonzero((self.lows <= high).all(axis=1) & (self.highs >= low).all(axis=1)):
-            if other != tile:
-                points, _ = self.read(int(other))
-                inside = (points >= low) & (points <= high)
-                found.append(points[inside[:, 0] & inside[:, 1] & inside[:, 2]])
-        return np.concatenate(found)
+        own = slice(*Cuts.blocks_of(tile))
+        meets = np.asarray((self.lows <= high).all(axis=1) & (self.highs >= low).all(axis=1))
+        meets[own] = False
+        # Neighbouring blocks are read at once.
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], meets, [False]]).astype(np.int8)))
+        points = self._places(self._entries(list(map(tuple, edges.reshape(-1, 2))))["steps"])
+        inside = np.ones(len(points), dtype=bool)
+        for axis in range(3):
+            inside &= (points[:, axis] >= low[axis]) & (points[:, axis] <= high[axis])
+        return points[inside]
+
+    def _entries(self, runs: list[tuple[int, int]]) -> NDArray[np.void]:
+        """Read runs of blocks, from the first up to but not including the second number."""
+        spans = [(part[first], part[last]) for part in self.bounds for first, last in runs]
+        entries = np.empty(sum(stop - start for start, stop in spans), dtype=_ENTRY)
+        at = 0
+        with self.path.open("rb", buffering=0) as stream:
+            for start, stop in spans:
+                if stop > start:
+                    stream.seek(start * _ENTRY.itemsize)
+                    stream.readinto(entries[at : at + stop - start].view(np.uint8))  # type: ignore[arg-type]
+                    at += stop - start
+        return entries
 
     def _places(self, steps: NDArray[np.int32]) -> Floats:
         xyz = self.file.xyz(steps)
         return xyz if self.transform is None else self.transform.apply(xyz)
 
 
-def sort_into_tiles(file: LasPoints, transform: Transform | None, cuts: Cuts, folder: Path) -> TiledFile:
-    """Sort the points of a file, moved by `transform` where there is one, into files of `folder`."""
-    folder.mkdir()
-    n_in_tile = np.zeros(cuts.n_tiles, dtype=np.int64)
-    lows, highs = np.full((cuts.n_tiles, 3), np.inf), np.full((cuts.n_tiles, 3), -np.inf)
-    tiled = TiledFile(file, transform, folder, n_in_tile, lows, highs)
-    with ExitStack() as stack:
-        streams = [stack.enter_context((folder / str(tile)).open("wb")) for tile in range(cuts.n_tiles)]
-        start = 0
+def sort_into_tiles(file: LasPoints, transform: Transform | None, cuts: Cuts, path: Path) -> TiledFile:
+    """Sort the points of a file, moved by `transform` where there is one, into a file of their own."""
+    lows, highs = np.full((cuts.n_blocks, 3), np.inf), np.full((cuts.n_blocks, 3), -np.inf)
+    bounds: list[NDArray[np.int64]] = []
+    start = 0
+    with path.open("wb") as stream:
         for records in las_parts(file):
+            steps = file.steps(records)
+            xyz = file.xyz(steps)
+            points = xyz if transform is None else transform.apply(xyz)
+            blocks = cuts.block_of(points)
+            order = np.argsort(blocks, kind="stable")  # of two bytes: counted, not compared
             entries = np.empty(len(records), dtype=_ENTRY)
-            entries["steps"] = file.steps(records)
-            entries["index"] = np.arange(start, start + len(records), dtype=np.uint32)
+            entries["steps"] = steps[order]
+            entries["index"] = order + start
+            stream.write(entries.tobytes())
+            counts = np.bincount(blocks, minlength=cuts.n_blocks)
+            begins = np.concatenate([[0], np.cumsum(counts)])
+            bounds.append(begins + start)
+            used = np.flatnonzero(counts)
+            sorted_points = points[order]
+            lows[used] = np.minimum(lows[used], np.minimum.reduceat(sorted_points, begins[used]))
+            highs[used] = np.maximum(highs[used], np.maximum.reduceat(sorted_points, begins[used]))
             start += len(records)
-            points = tiled._places(entries["steps"])
-            for tile, rows in _by_tile(cuts.tile_of(points)):
-                streams[tile].write(entries[rows].tobytes())
-                n_in_tile[tile] += len(rows)
-                here = points[rows]
-                lows[tile] = np.minimum(lows[tile], here.min(axis=0))
-                highs[tile] = np.maximum(highs[tile], here.max(axis=0))
-    return tiled
-
-
-def _by_tile(tiles: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """Give each tile that occurs, and the rows in it in their order."""
-    order = np.argsort(tiles.astype(np.uint16), kind="stable")  # of two bytes: counted, not compared
-    numbers, starts = np.unique(tiles[order], return_index=True)
-    for number, rows in zip(numbers, np.split(order, starts[1:]), strict=True):
-        yield int(number), rows
+    return TiledFile(file, transform, path, np.array(bounds), lows, highs)
