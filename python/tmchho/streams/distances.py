@@ -15,7 +15,7 @@ from tmchho.streams.tiles import TiledFile
 
 Floats = NDArray[np.float64]
 
-_FAR_CENTROIDS = 300_000
+_FAR_CENTROIDS = 100_000
 _SPACING_BLOCKS = 48
 _FEWEST_IN_BLOCK = 100  # of fewer, too many have their neighbours in the next block
 _SPACINGS = 10_000
