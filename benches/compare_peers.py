@@ -1,7 +1,7 @@
 """Kernels side by side on the same arrays in one run: tmchho and the libraries of the extra `peers`.
 
-    python benches/compare_peers.py [--only GROUP …] [--sizes N …] [--repeat 5] [--threads 1 2]
-        [--json FILE] [-o benches/RESULTS.md]
+    python benches/compare_peers.py [--only GROUP …] [--peers NAME …] [--sizes N …] [--repeat 5]
+        [--threads 1 2] [--json FILE] [-o benches/RESULTS.md]
 
 Clouds are surveys of the simulated dam site. Every library runs in a process of its own, kept to as many
 processors as it may use threads; the processes take turns, round by round, so that a load hits all alike.
@@ -58,7 +58,9 @@ def kept(scene: Scene, folder: Path) -> Path:
     return clouds
 
 
-def icp_settings(row: Row, scene: Scene, clouds: Path, patience: float) -> dict[str, dict[str, Any]]:
+def icp_settings(
+    row: Row, libraries: Sequence[str], scene: Scene, clouds: Path, patience: float
+) -> dict[str, dict[str, Any]]:
     """Return for each library the coarsest settings with which it arrives where all of them do."""
     judge = Judge(row.kernel, scene.clouds, scene.settings, scene.truth)
     errors = {
@@ -68,8 +70,7 @@ def icp_settings(row: Row, scene: Scene, clouds: Path, patience: float) -> dict[
                 row.kernel, library, scene.settings, ICP_STEPS[library], clouds, patience
             )
         ]
-        for library in KERNELS[row.kernel]
-        if is_installed(library)
+        for library in libraries
     }
     largest = ICP_ARRIVED * max(steps[-1][1] for steps in errors.values() if steps)
     settings = {}
@@ -83,17 +84,17 @@ def icp_settings(row: Row, scene: Scene, clouds: Path, patience: float) -> dict[
     return settings
 
 
-def measure(row: Row, threads: Sequence[int], rounds: int, patience: float, ours_only: bool) -> Measured:
+def measure(row: Row, peers: Sequence[str], threads: Sequence[int], rounds: int, patience: float) -> Measured:
     scene = scene_of(row)
-    libraries = [US] if ours_only else list(KERNELS[row.kernel])
+    libraries = [name for name in KERNELS[row.kernel] if name == US or name in peers]
     missing = tuple(dict.fromkeys(MODULES[name] for name in libraries if not is_installed(name)))
     with tempfile.TemporaryDirectory() as folder:
         clouds = kept(scene, Path(folder))
         settings = {name: dict(scene.settings) for name in libraries if is_installed(name)}
-        if row.kernel in ICP_KERNELS and ours_only:
+        if row.kernel in ICP_KERNELS and not peers:
             settings[US].update(step=ICP_STEPS[US][0], largest_error=np.inf)
         elif row.kernel in ICP_KERNELS:
-            settings = icp_settings(row, scene, clouds, patience)
+            settings = icp_settings(row, list(settings), scene, clouds, patience)
         runs = {n: run_side_by_side(row.kernel, settings, n, clouds, rounds, patience) for n in threads}
     judge = Judge(row.kernel, scene.clouds, settings[US], scene.truth)
     agreements = {
@@ -117,6 +118,8 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS), help="groups of rows")
+    peers = [name for name in MODULES if name != US]
+    parser.add_argument("--peers", nargs="*", choices=peers, default=peers, help="libraries beside ours")
     parser.add_argument("--sizes", type=int, nargs="+", help="points, in place of those of the rows")
     parser.add_argument("--repeat", type=int, default=5, help="rounds (default 5)")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="default 1 2")
@@ -129,16 +132,14 @@ def main() -> int:
         parser.error(
             f"{max(options.threads)} threads asked for, but only {n_processors} processors to be had"
         )
-    rows = [
-        (row, False) for row in rows_of([name for name in options.only if name != "growth"], options.sizes)
-    ]
+    rows = [(row, options.peers) for row in rows_of(options.only, options.sizes)]
     if "growth" in options.only:
-        rows += [(row, True) for row in growth_rows(options.sizes)]
+        rows += [(row, []) for row in growth_rows(options.sizes)]
     report = Report(machine(sys.argv[1:]), options.threads, options.repeat)
-    for row, ours_only in rows:
+    for row, beside in rows:
         print(f"{row.title}, {row.size} …", file=sys.stderr, flush=True)
-        threads = [max(options.threads)] if ours_only else options.threads
-        report.add(measure(row, threads, options.repeat, options.patience, ours_only))
+        threads = [max(options.threads)] if row.group == "growth" else options.threads
+        report.add(measure(row, beside, threads, options.repeat, options.patience))
         if options.json is not None:
             options.json.write_text(json.dumps(report.as_json(), indent=1) + "\n")
         if options.output is not None:
