@@ -32,7 +32,7 @@ import numpy as np
 from kernel_checks import Agreement, Judge
 from kernel_peers import ICP_STEPS, KERNELS, MODULES, US, is_installed
 from kernel_rows import GROUPS, GROWTH_KERNELS, GROWTH_SIZES, ICP_KERNELS, ROWS, Row, Scene, rows_of, scene_of
-from kernel_run import Runs, answers_of_steps, run_side_by_side
+from kernel_run import Runs, coarsest_that_arrive, run_side_by_side
 from kernel_tables import Report, machine
 
 # The error at which ICP has arrived, by what the worst library ends with.
@@ -63,25 +63,11 @@ def icp_settings(
 ) -> dict[str, dict[str, Any]]:
     """Return for each library the coarsest settings with which it arrives where all of them do."""
     judge = Judge(row.kernel, scene.clouds, scene.settings, scene.truth)
-    errors = {
-        library: [
-            (step, judge.pose_error(answer))
-            for step, answer in answers_of_steps(
-                row.kernel, library, scene.settings, ICP_STEPS[library], clouds, patience
-            )
-        ]
-        for library in libraries
-    }
-    largest = ICP_ARRIVED * max(steps[-1][1] for steps in errors.values() if steps)
-    settings = {}
-    for library, steps in errors.items():
-        chosen = ICP_STEPS[library][-1]
-        for step, error in reversed(steps):
-            if error > largest:
-                break
-            chosen = step
-        settings[library] = {**scene.settings, "largest_error": largest, "step": chosen}
-    return settings
+    steps = {name: ICP_STEPS[name] for name in libraries}
+    largest, chosen = coarsest_that_arrive(
+        row.kernel, steps, scene.settings, clouds, patience, judge.pose_error, ICP_ARRIVED
+    )
+    return {name: {**scene.settings, "largest_error": largest, "step": chosen[name]} for name in libraries}
 
 
 def measure(row: Row, peers: Sequence[str], threads: Sequence[int], rounds: int, patience: float) -> Measured:

@@ -11,7 +11,7 @@ import os
 import select
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -158,20 +158,36 @@ def run_side_by_side(
     return every
 
 
-def answers_of_steps(
-    kernel: str, library: str, settings: Settings, steps: Sequence[float], clouds: Path, patience: float
-) -> list[tuple[float, Answer]]:
-    """Return the answers of one library at every step of how finely it comes to rest."""
-    worker = Worker(kernel, library, len(os.sched_getaffinity(0)), clouds)
-    found = []
+def coarsest_that_arrive(
+    kernel: str,
+    steps: Mapping[str, Sequence[float]],
+    settings: Settings,
+    clouds: Path,
+    patience: float,
+    error_of: Callable[[Answer], float],
+    slack: float,
+) -> tuple[float, dict[str, float]]:
+    """Find how finely each library has to come to rest: to where the worst of them ends, and some slack.
+
+    Steps run from coarse to fine. Returns the largest error and the coarsest step of each library from which
+    on the error stays below it; a library that fails is left with its finest.
+    """
+    workers = {name: Worker(kernel, name, len(os.sched_getaffinity(0)), clouds) for name in steps}
+
+    def error_at(library: str, step: float) -> float:
+        told = workers[library].run({**settings, "step": step, "keep": True}, patience)
+        return float("nan") if told.get("error") else error_of(workers[library].answer())
+
     try:
-        if worker.hear(START_SECONDS).get("error"):
-            return []
-        for step in steps:
-            told = worker.run({**settings, "step": step, "keep": True}, patience)
-            if told.get("error"):
-                break
-            found.append((step, worker.answer()))
+        started = [name for name, worker in workers.items() if not worker.hear(START_SECONDS).get("error")]
+        largest = slack * float(np.nanmax([error_at(name, steps[name][-1]) for name in started]))
+        chosen = {name: own[-1] for name, own in steps.items()}
+        for name in started:
+            for step in reversed(steps[name][:-1]):
+                if not error_at(name, step) <= largest:
+                    break
+                chosen[name] = step
     finally:
-        worker.end()
-    return found
+        for worker in workers.values():
+            worker.end()
+    return largest, chosen
