@@ -99,6 +99,15 @@ def growth_rows(sizes: Sequence[int] | None) -> Iterator[Row]:
             yield Row("growth", kernel, titles[kernel], n, None)
 
 
+def without_files(arguments: Sequence[str]) -> list[str]:
+    """Leave out where the results go, which says nothing of what was measured."""
+    files = ("--json", "-o", "--output")
+    before = ["", *arguments][: len(arguments)]
+    return [
+        now for last, now in zip(before, arguments, strict=True) if now not in files and last not in files
+    ]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -121,7 +130,7 @@ def main() -> int:
     rows = [(row, options.peers) for row in rows_of(options.only, options.sizes)]
     if "growth" in options.only:
         rows += [(row, []) for row in growth_rows(options.sizes)]
-    report = Report(machine(sys.argv[1:]), options.threads, options.repeat)
+    report = Report(machine(without_files(sys.argv[1:])), options.threads, options.repeat)
     for row, beside in rows:
         print(f"{row.title}, {row.size} …", file=sys.stderr, flush=True)
         threads = [max(options.threads)] if row.group == "growth" else options.threads

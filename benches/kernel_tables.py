@@ -133,7 +133,7 @@ class Report:
         versions = ", ".join(f"{name} {version}" for name, version in it["versions"].items())
         return (
             "# Kernels beside their peers\n\n"
-            f"Written by `{' '.join(['benches/compare_peers.py', it['arguments']]).strip()}` "
+            f"Written by `{' '.join(['python benches/compare_peers.py', it['arguments']]).strip()}` "
             f"at commit {it['commit']}, {it['date']}, on {it['n_processors']} processors "
             f"({it['processor']}, {it['memory_gib']} GiB, {it['system']}, "
             f"Python {it['python']}): {versions}. Medians of {self._repeat} rounds.{loaded} "
