@@ -75,6 +75,7 @@ class Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            cwd=clouds.parent,  # some leave a log where they are started
             env={**os.environ, **threads},
         )
         order = {
