@@ -19,8 +19,10 @@ from tmchho.errors import ReadError, WriteError
 
 logger = logging.getLogger(__name__)
 
+NORMALS = ("nx", "ny", "nz")
 COLOURS = ("red", "green", "blue")
 AXES = ("x", "y", "z")
+_COARSEST_STEP = 1e-5  # of float32 coordinates, by the diagonal of the cloud; coarser ones are warned of
 
 # Looked up in lower case without blanks, underscores and CloudCompare's prefix "scalar_".
 _CANONICAL_NAMES = {
@@ -92,8 +94,25 @@ def cloud_from_columns(
     with np.errstate(invalid="ignore"):  # a damaged float may be a NaN that "signals"
         for index, axis in enumerate(AXES):
             xyz[:, index] = columns[axis]
+    if any(columns[axis].dtype == np.float32 for axis in AXES):
+        _warn_of_coarse_floats(xyz, name)
     attributes = {key: values for key, values in columns.items() if key not in AXES}
     return PointCloud(xyz, attributes, metadata=metadata, name=name)
+
+
+def _warn_of_coarse_floats(xyz: NDArray[np.float64], name: str) -> None:
+    """Say where float32 was too short for the coordinates: at 4 000 000 it has steps of 0.25."""
+    finite = xyz[np.isfinite(xyz).all(axis=1)]
+    if len(finite) == 0:
+        return
+    lowest, highest = finite.min(axis=0), finite.max(axis=0)
+    steps = np.spacing(np.maximum(np.abs(lowest), np.abs(highest)).astype(np.float32))
+    axis = int(np.argmax(steps))
+    if steps[axis] > _COARSEST_STEP * np.linalg.norm(highest - lowest):
+        logger.warning(
+            "%s: was saved as float32, which rounds %s to steps of %.3g here; export it with doubles",
+            *(name, AXES[axis], steps[axis]),
+        )
 
 
 def attributes_to_write(cloud: PointCloud, *, blanks: bool = False) -> dict[str, NDArray[Any]]:

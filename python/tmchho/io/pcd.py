@@ -10,6 +10,7 @@ Source: "The PCD (Point Cloud Data) file format", version 0.7, documentation of 
 from __future__ import annotations
 
 import logging
+import re
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -39,6 +40,7 @@ logger = logging.getLogger(__name__)
 
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
 _TYPE_LETTERS = {"F": "f", "I": "i", "U": "u"}
+_FIRST_KEY = re.compile(rb"#\s*\.PCD|(?:#[^\n]*\n|\s)*(?:VERSION|FIELDS|COLUMNS)[ \t]")
 _MAX_HEADER_BYTES = 1 << 16
 _MAX_LZF_RATIO = 100  # a run of 264 bytes takes 3
 _PCL_NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
@@ -287,8 +289,7 @@ def _with_packed_colours(attributes: dict[str, NDArray[Any]]) -> dict[str, NDArr
 FORMAT = Format(
     name="PCD",
     extensions=(".pcd",),
-    first_bytes=(b"# .PCD", b"#.PCD", b"VERSION", b"FIELDS"),
-    mark_is_needed=False,
+    recognises=lambda head: _FIRST_KEY.match(head) is not None,
     read=_read,
     write=_write,
 )

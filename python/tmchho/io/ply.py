@@ -31,7 +31,7 @@ from tmchho.io.fields import (
     record_array,
     split_columns,
 )
-from tmchho.io.format import Format
+from tmchho.io.format import Format, starts_with
 from tmchho.io.table import parse_table
 
 logger = logging.getLogger(__name__)
@@ -210,8 +210,7 @@ def _without_long_integers(name: str, values: NDArray[Any]) -> NDArray[Any]:
 FORMAT = Format(
     name="PLY",
     extensions=(".ply",),
-    first_bytes=(b"ply\n", b"ply\r", b"ply "),
-    mark_is_needed=True,
+    recognises=starts_with(b"ply\n", b"ply\r", b"ply "),
     read=_read,
     write=_write,
 )
