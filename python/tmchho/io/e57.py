@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError
-from tmchho.io.e57_header import SIGNATURE, Field, ScanHeader, check_file, read_scans
+from tmchho.io.e57_header import (
+    SIGNATURE,
+    Field,
+    ScanHeader,
+    buffer_type,
+    check_file,
+    first_words,
+    read_scans,
+)
 from tmchho.io.e57_write import MISSING_LIBRARY, write_e57
 from tmchho.io.fields import canonical_names
 from tmchho.io.format import Format, starts_with
@@ -57,14 +65,10 @@ def _read(path: Path) -> PointCloud:
         finally:
             image_file.close()
     except library.E57Exception as error:
-        raise ReadError(_explained(str(error))) from error
-
-
-def _explained(message: str) -> str:
-    reason = " ".join(message.split())[:150]
-    if "checksum" in reason.lower():
-        return "is damaged: the checksum of one of its pages is wrong; copy it again"
-    return f"is damaged or not valid E57 ({reason}); export it again"
+        words = first_words(error)
+        if "checksum" in words:
+            raise ReadError("is damaged: the checksum of one of its pages is wrong; copy it again") from error
+        raise ReadError(f"is damaged or not valid E57 ({words}); export it again") from error
 
 
 def _read_all(library: ModuleType, image_file: Any, path: Path) -> PointCloud:
@@ -123,23 +127,26 @@ def _read_fields(
     n_at_once = min(header.n_points, _POINTS_AT_ONCE)
     buffers, wanted = library.VectorSourceDestBuffer(), []
     for field in header.fields:
-        values = np.empty(n_at_once, dtype=_kind(field))
+        values = np.empty(n_at_once, dtype=buffer_type(np.dtype(_kind(field))))
         wanted.append((field, values))
         buffers.append(library.SourceDestBuffer(image_file, field.name, values, n_at_once, True, True))
     columns = {field.name: np.empty(header.n_points, dtype=_kind(field)) for field in header.fields}
     reader = header.points.reader(buffers)
     n_done = 0
-    while n_done < header.n_points:
-        n_read = reader.read()
-        if n_read == 0:
-            raise ReadError(
-                f"is truncated: expected {header.n_points} points in scan {number + 1}, file holds {n_done}; "
-                "copy it again"
-            )
-        for field, values in wanted:
-            columns[field.name][n_done : n_done + n_read] = values[:n_read]
-        n_done += n_read
-    reader.close()
+    try:
+        while n_done < header.n_points:
+            n_read = reader.read()
+            if n_read == 0:
+                raise ReadError(
+                    f"is truncated: expected {header.n_points} points in scan {number + 1}, "
+                    f"file holds {n_done}; copy it again"
+                )
+            for field, values in wanted:
+                columns[field.name][n_done : n_done + n_read] = values[:n_read]
+            n_done += n_read
+        reader.close()
+    finally:
+        del reader  # before the file is closed, whatever happened
     return columns
 
 

@@ -23,7 +23,7 @@ from tmchho.io.scans import check_pose
 SIGNATURE = b"ASTM-E57"
 _HEADER = struct.Struct("<8sIIQQQQ")
 _CHECKSUM_BYTES = 4  # at the end of every page
-_SMALL_KINDS = ("u1", "i1", "u2", "i2")  # that the library fills; all others go through int64
+_SMALL_KINDS = ("u1", "i1", "u2", "i2")
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,19 @@ def _smallest_kind(lowest: int, highest: int) -> str:
         if np.iinfo(kind).min <= lowest and highest <= np.iinfo(kind).max:
             return kind
     return "i8"
+
+
+def buffer_type(values: np.dtype[Any]) -> np.dtype[Any]:
+    """Return the type through which the library takes and gives values.
+
+    Long integers go as "long long": it takes numpy's int64 for an int32 where that is a C "long".
+    """
+    return values if values.kind == "f" or values.itemsize <= 2 else np.dtype(np.longlong)
+
+
+def first_words(error: BaseException) -> str:
+    """Return what an error of the library says before it goes into its own source code."""
+    return " ".join(str(error).partition("****")[0].split())[:150]
 
 
 def _pose(library: ModuleType, node: Any, number: int) -> NDArray[np.float64]:

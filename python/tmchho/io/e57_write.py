@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from tmchho.cloud import PointCloud
 from tmchho.errors import WriteError
+from tmchho.io.e57_header import buffer_type, first_words
 from tmchho.io.fields import COLOURS, attributes_to_write, is_integral, split_columns
 from tmchho.io.scans import COLUMN, ROW, SCAN_INDEX, Scan, split
 
@@ -40,7 +41,6 @@ _PREFIXES = {
     "tmchho": "urn:tmchho:attributes",  # of all that the standard has no name for
 }
 _FORMAT_NAME = "ASTM E57 3D Imaging Data File"
-_BUFFER_KINDS = ("u1", "i1", "u2", "i2", "f4", "f8")  # that the library takes; integers else as int64
 
 
 def write_e57(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
@@ -70,8 +70,9 @@ def write_e57(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
     except BaseException as error:
         image_file.cancel()  # removes the half-written file
         if isinstance(error, library.E57Exception):
-            message = " ".join(str(error).split())[:150]
-            raise WriteError(f"the cloud cannot be written as E57 ({message}); try .laz") from error
+            raise WriteError(
+                f"the cloud cannot be written as E57 ({first_words(error)}); check the disk or try .laz"
+            ) from error
         raise
     image_file.close()
 
@@ -150,18 +151,20 @@ def _write_scan(
     n_at_once = min(len(local), _POINTS_AT_ONCE)
     buffers, parts = nodes.library.VectorSourceDestBuffer(), {}
     for name, values in fields.items():
-        kind = values.dtype.str[1:]
-        parts[name] = np.empty(n_at_once, dtype=kind if kind in _BUFFER_KINDS else "i8")
+        parts[name] = np.empty(n_at_once, dtype=buffer_type(values.dtype))
         buffers.append(
             nodes.library.SourceDestBuffer(nodes.image_file, name, parts[name], n_at_once, True, True)
         )
     writer = points.writer(buffers)
-    for start in range(0, len(local), n_at_once):
-        n_points = min(n_at_once, len(local) - start)
-        for name, values in fields.items():
-            parts[name][:n_points] = values[start : start + n_points]
-        writer.write(n_points)
-    writer.close()
+    try:
+        for start in range(0, len(local), n_at_once):
+            n_points = min(n_at_once, len(local) - start)
+            for name, values in fields.items():
+                parts[name][:n_points] = values[start : start + n_points]
+            writer.write(n_points)
+        writer.close()
+    finally:
+        del writer  # after an error it must be gone before the file is, or the library ends the program
 
 
 def _limits(nodes: _Nodes, columns: Mapping[str, NDArray[Any]]) -> Any:

@@ -27,6 +27,7 @@ from tmchho.io.format import Format, starts_with
 
 logger = logging.getLogger(__name__)
 
+_VERSIONS = ((1, 0), (2, 0), (3, 0))
 _MAX_DEFLATE_RATIO = 1032
 _POINT_ARRAYS = ("xyz", "points", "pos", "arr_0")
 
@@ -72,6 +73,13 @@ def _read_archive(path: Path) -> PointCloud:
 def _read_array(stream: IO[bytes], n_bytes: int) -> NDArray[Any]:
     """Read one array after a look at its header, so that a false shape allocates nothing."""
     version = np.lib.format.read_magic(stream)
+    n_length = 2 if version == (1, 0) else 4
+    n_header = int.from_bytes(stream.read(n_length), "little")
+    if version not in _VERSIONS or n_header > n_bytes:
+        raise ReadError(
+            f"has a damaged header (version {version}, {n_header} bytes of {n_bytes}); save it again"
+        )
+    stream.seek(-n_length, 1)
     read_header = (
         np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     )

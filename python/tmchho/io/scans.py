@@ -76,6 +76,9 @@ def joined(parts: Sequence[PointCloud], scans: Sequence[Scan], metadata: dict[st
         return replace(parts[0], metadata=metadata)
     name = parts[0].name
     keys = list(dict.fromkeys(key for part in parts for key in part.attributes))
+    gaps = [key for key in keys if any(key not in part.attributes for part in parts)]
+    if gaps:
+        logger.log(NOTE, "%s: not all scans have %s; the others get 0", name, ", ".join(gaps))
     attributes = {key: _joined(key, parts) for key in keys}
     lengths = [len(part) for part in parts]
     attributes[SCAN_INDEX] = np.repeat(np.arange(len(parts), dtype=np.uint16), lengths)
@@ -86,9 +89,6 @@ def joined(parts: Sequence[PointCloud], scans: Sequence[Scan], metadata: dict[st
 def _joined(key: str, parts: Sequence[PointCloud]) -> NDArray[Any]:
     given = [part.attributes[key] for part in parts if key in part.attributes]
     dtype = np.result_type(*given)
-    if len(given) < len(parts):
-        n_without = len(parts) - len(given)
-        logger.log(NOTE, "%s: %d scans have no %s and get 0", parts[0].name, n_without, key)
     return np.concatenate(
         [part.attributes[key] if key in part.attributes else np.zeros(len(part), dtype) for part in parts]
     )

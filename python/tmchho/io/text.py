@@ -53,6 +53,7 @@ _AXIS_NAMES = {
 # What Leica's .pts puts after x y z, by the total number of columns.
 _PTS_COLUMNS = {4: ("intensity",), 6: COLOURS, 7: ("intensity", *COLOURS)}
 
+_N_LOOKED_AT = 20  # lines after the first point, which tell whether a word in it is a mistake
 _MAX_PREAMBLE = 1000  # lines in which the first point must turn up
 
 
@@ -134,6 +135,7 @@ def _recognise(data: bytes) -> _Layout:
         numeric = _numeric_columns(line, *dialect)
         n_columns = len(split_line(line, dialect[0]))
         if len(numeric) >= 3:
+            _check_dropped(data, number, dialect, numeric, n_columns)
             names = _names(header, comment, dialect[0], n_columns)
             return _Layout(*dialect, number, n_columns, numeric, names, n_announced)
         if n_announced is None and line.isdigit():
@@ -148,6 +150,21 @@ def _recognise(data: bytes) -> _Layout:
     if header is not None:
         raise ReadError(f"has no line of numbers (line {header[0]} begins '{header[1][:40]}')")
     raise ReadError("contains no points; choose a file with points")
+
+
+def _check_dropped(
+    data: bytes, first_line: int, dialect: tuple[str | None, str], numeric: list[int], n_columns: int
+) -> None:
+    """Raise if a word of the first point is no number, but all that stand below it are."""
+    lines = data.split(b"\n", first_line + _N_LOOKED_AT)[first_line : first_line + _N_LOOKED_AT]
+    decoded = [line.decode("utf-8", errors="replace").strip() for line in lines]
+    points = [line for line in decoded if line and not line.startswith(_COMMENT_MARKS)]
+    below = [set(_numeric_columns(line, *dialect)) for line in points]
+    for column in sorted(set(range(n_columns)) - set(numeric)):
+        if below and all(column in others for others in below):
+            raise ReadError(
+                f"line {first_line}, column {column + 1} is not a number, but those below it are; correct it"
+            )
 
 
 def _numeric_columns(line: str, separator: str | None, decimal: str) -> list[int]:
