@@ -134,7 +134,8 @@ def test_truncation(tmp_path: Path, encoding: str) -> None:
     xyz = np.random.default_rng(0).normal(size=(100, 3)).round(3)
     data = pcd_bytes(encoding, axes(xyz))
     body_at = data.index(b"DATA") + len(f"DATA {encoding}\n")
-    for n_bytes in (5, 30, body_at - len(encoding) - 4):
+    assert "the mark at its start is missing" in message_of(tmp_path, data[:5])
+    for n_bytes in (30, body_at - len(encoding) - 4):
         assert "no DATA line" in message_of(tmp_path, data[:n_bytes])
     assert "expected 100 points, file holds 0" in message_of(tmp_path, data[:body_at])
     if encoding == "ascii":

@@ -92,11 +92,12 @@ def is_plain_text(head: bytes) -> bool:
 
 
 def _has_numbers(head: bytes) -> bool:
-    """Return whether one of the first lines begins like a point: three numbers."""
+    """Return whether one of the first two lines, comments aside, begins like a point: three numbers."""
     number = rb"[\s\"]*[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?[\"]?"
     three = re.compile(number + rb"(?:\s*[;,\t ]" + number + rb"){2}")
-    lines = re.split(rb"[\r\n]+", head.replace(b"\0", b""))  # in UTF-16 every other byte is zero
-    return any(three.match(line) for line in lines[:100])
+    lines = re.split(rb"[\r\n]+", head.replace(b"\0", b"").lstrip())  # in UTF-16 every other byte is zero
+    told = [line for line in lines if not re.match(rb"\s*(?://|[#%!;]|\d+\s*$|$)", line)]
+    return any(three.match(line) for line in told[:2])
 
 
 def _foreign(head: bytes) -> tuple[str, str] | None:

@@ -57,8 +57,8 @@ def _read(path: Path, window: Window | None = None) -> PointCloud:
     xyz = np.empty((len(records), 3))
     for index, axis in enumerate("XYZ"):
         xyz[:, index] = records[axis] * header.scales[index] + header.offsets[index]
-    if header.is_compressed and len(xyz):
-        _check_bounds(xyz, header)
+    if len(xyz):
+        _check_bounds(xyz, header, path)
     if window is not None:
         inside = window.holds(xyz)
         xyz, records = xyz[inside], records[inside]
@@ -80,8 +80,8 @@ def _read_points(
     return np.fromfile(path, dtype=dtype, count=header.n_points, offset=header.points_at)
 
 
-def _check_bounds(xyz: NDArray[np.float64], header: LasHeader) -> None:
-    """Raise if decoded points lie far outside the header's bounds: LAZ has no checksum of its own."""
+def _check_bounds(xyz: NDArray[np.float64], header: LasHeader, path: Path) -> None:
+    """Warn of points outside the header's bounds; raise for LAZ, which has no checksum, if they are far."""
     lowest, highest = np.array(header.minima), np.array(header.maxima)
     diagonal = math.dist(header.minima, header.maxima)
     if not (0 < diagonal < math.inf and (lowest <= highest).all()):
@@ -90,12 +90,12 @@ def _check_bounds(xyz: NDArray[np.float64], header: LasHeader) -> None:
     below = lowest - [xyz[:, axis].min() for axis in range(3)]
     above = np.array([xyz[:, axis].max() for axis in range(3)]) - highest
     excess = float(max(below.max(), above.max()))
-    if excess > diagonal:
+    if excess > diagonal and header.is_compressed:
         raise ReadError(
             f"is damaged: points lie up to {excess:.6g} outside the bounds in its header; copy it again"
         )
     if excess > max(header.scales):
-        logger.warning("points lie up to %.6g outside the bounds in the header", excess)
+        logger.warning("%s: points lie up to %.6g outside the bounds in the header", path, excess)
 
 
 def _crs(header: LasHeader) -> str | None:

@@ -35,7 +35,7 @@ _EMPTY_INTENSITY = 0.5  # of cells without a point
 
 def _recognises(head: bytes) -> bool:
     """Return whether the first lines have as many words as those of a scan, the first two a whole number."""
-    lines = [line.split() for line in re.split(rb"\r\n|\r|\n", head, maxsplit=_N_HEADER_LINES)]
+    lines = [line.split() for line in re.split(rb"[\r\n]+", head.lstrip(), maxsplit=_N_HEADER_LINES)]
     return (
         len(lines) > _N_HEADER_LINES
         and tuple(map(len, lines[:_N_HEADER_LINES])) == _HEADER_WIDTHS
