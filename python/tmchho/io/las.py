@@ -47,7 +47,7 @@ def _read(path: Path, window: Window | None = None) -> PointCloud:
     point_format = laspy.PointFormat(header.point_format)
     standard = [dimension.name for dimension in point_format.dimensions]
     extra = read_dimensions(
-        header.find(EXTRA_BYTES),
+        header.find_all(EXTRA_BYTES),  # some programs add a record of their own
         header.point_bytes - POINT_BYTES[header.point_format],
         {*standard, *point_format.dtype().names},
     )
