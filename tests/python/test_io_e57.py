@@ -331,6 +331,18 @@ def test_hostile_descriptions(tmp_path: Path, valid: bytes, old: bytes, new: byt
     assert words in message_of(tmp_path / "a.e57")
 
 
+def test_points_that_take_no_room_in_the_file(tmp_path: Path) -> None:
+    """Values that are all the same are not stored, so that any number of points fits into a few bytes."""
+
+    def same(file: Any) -> Any:
+        return libe57.IntegerNode(file, 7, 7, 7)
+
+    names = [*(f"cartesian{axis}" for axis in "XYZ"), "intensity"]
+    write_fields(tmp_path / "a.e57", {name: (same, np.full(200_000, 7, np.int16)) for name in names})
+    assert (tmp_path / "a.e57").stat().st_size < 20_000
+    assert "expected 200000 points of 1 bits in scan 1" in message_of(tmp_path / "a.e57")
+
+
 def test_the_missing_library_is_named(tmp_path: Path, valid: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pye57.libe57", None)
     assert "pip install 'tmchho[e57]'" in message_of(tmp_path / "valid.e57")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from tmchho.errors import ReadError
 from tmchho.io.las_header import LasHeader
-from tmchho.io.laz import Chunk, check_layers, read_compression
+from tmchho.io.laz import MAX_POINTS_PER_BYTE, Chunk, check_layers, read_compression
 from tmchho.io.window import Window
 
 INFO = ("copc", 1)
@@ -118,10 +118,11 @@ def _chunks(
     if window.resolution is not None:
         max_level = min(max_level, max(0, math.ceil(math.log2(octree.spacing / window.resolution))))
     chunks: list[Chunk] = []
-    pages, seen = [octree.root_page], set[int]()
+    pages, seen, n_left = [octree.root_page], set[int](), n_bytes
     while pages:
         start, n_page = pages.pop()
-        if start in seen or n_page < 0 or start + n_page > n_bytes:
+        n_left -= n_page
+        if start in seen or n_page < 0 or start + n_page > n_bytes or n_left < 0:
             raise ReadError(f"is damaged: a page of its octree should be at byte {start}; copy it again")
         seen.add(start)
         stream.seek(start)
@@ -138,6 +139,8 @@ def _chunks(
                     )
                 chunks.append(Chunk(entry_start, n_entry, n_points))
     n_points = sum(chunk.n_points for chunk in chunks)
+    if sum(chunk.n_bytes for chunk in chunks) > n_bytes or n_points > n_bytes * MAX_POINTS_PER_BYTE:
+        raise ReadError("contradicts itself: nodes of its octree overlap in the file; copy it again")
     if n_points > header.n_points:
         raise ReadError(
             f"contradicts itself: expected {header.n_points} points, its octree holds {n_points}; "

@@ -23,6 +23,7 @@ from tmchho.io.scans import check_pose
 SIGNATURE = b"ASTM-E57"
 _HEADER = struct.Struct("<8sIIQQQQ")
 _CHECKSUM_BYTES = 4  # at the end of every page
+_MOST_IN_MEMORY = 100  # times the size of the file; packed coordinates come to about 7
 _SMALL_KINDS = ("u1", "i1", "u2", "i2")
 
 
@@ -116,27 +117,35 @@ def read_scans(library: ModuleType, image_file: Any, n_bytes: int) -> list[ScanH
     if not root.isDefined("data3D"):
         return []
     scans = library.VectorNode(root.get("data3D"))
-    return [
-        _read_scan(library, library.StructureNode(scans.get(number)), number, n_bytes)
-        for number in range(scans.childCount())
-    ]
+    headers: list[ScanHeader] = []
+    n_left = 8 * n_bytes
+    for number in range(scans.childCount()):
+        header = _read_scan(library, library.StructureNode(scans.get(number)), number)
+        n_bits = max(1, sum(field.n_bits for field in header.fields))
+        n_left -= header.n_points * n_bits
+        if n_left < 0:
+            raise ReadError(
+                f"is truncated or damaged: expected {header.n_points} points of {n_bits} bits in scan "
+                f"{number + 1}, file holds {n_bytes} bytes; copy it again"
+            )
+        headers.append(header)
+    # Values that are the same for all points take no room in the file, but do in memory.
+    n_needed = sum(
+        header.n_points * sum(np.dtype(field.kind).itemsize for field in header.fields) for header in headers
+    )
+    if n_needed > _MOST_IN_MEMORY * n_bytes:
+        raise ReadError(f"would grow from {n_bytes} to {n_needed} bytes, which cannot be; export it again")
+    return headers
 
 
-def _read_scan(library: ModuleType, node: Any, number: int, n_bytes: int) -> ScanHeader:
+def _read_scan(library: ModuleType, node: Any, number: int) -> ScanHeader:
     name = library.StringNode(node.get("name")).value() if node.isDefined("name") else ""
     if not node.isDefined("points"):
         return ScanHeader(name, np.eye(4), (), 0, None)
     points = library.CompressedVectorNode(node.get("points"))
     prototype = library.StructureNode(points.prototype())
     fields = tuple(_field(library, prototype.get(index)) for index in range(prototype.childCount()))
-    n_points = points.childCount()
-    n_bits = max(1, sum(field.n_bits for field in fields))
-    if n_points * n_bits > 8 * n_bytes:
-        raise ReadError(
-            f"is truncated or damaged: expected {n_points} points of {n_bits} bits in scan {number + 1}, "
-            f"file holds {n_bytes} bytes; copy it again"
-        )
-    return ScanHeader(name, _pose(library, node, number), fields, n_points, points)
+    return ScanHeader(name, _pose(library, node, number), fields, points.childCount(), points)
 
 
 def _field(library: ModuleType, node: Any) -> Field:

@@ -24,7 +24,7 @@ _POINTS_AT_ONCE = 500_000
 _POINTWISE, _LAYERED = 1, 3  # the first compressor, one stream without chunks, and that of LAS 1.4
 _VARIABLE_CHUNKS = 0xFFFFFFFF
 # Identical points, the best case, come to less than 150 a byte.
-_MAX_POINTS_PER_BYTE = 500
+MAX_POINTS_PER_BYTE = 500
 # Layers of the parts of a point, by the number of the part; extra bytes have one layer each.
 _N_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 _EXTRA_BYTES_PART = 14
@@ -73,7 +73,7 @@ def decompress(path: Path, header: LasHeader) -> NDArray[np.uint8]:
     compression = read_compression(header)
     n_bytes = path.stat().st_size
     n_packed = n_bytes - header.points_at
-    if header.n_points > n_packed * _MAX_POINTS_PER_BYTE:
+    if header.n_points > n_packed * MAX_POINTS_PER_BYTE:
         raise ReadError(
             f"promises {header.n_points} points in {n_packed} compressed bytes, which cannot be; "
             "export it again"
