@@ -11,7 +11,7 @@
 
 use crate::cloud::{Point, centroid};
 use crate::error::{Result, require_at_least, require_positive};
-use crate::neighbors::{Neighbor, NeighborIndex, map_places};
+use crate::neighbors::{NeighborIndex, Places};
 use crate::progress::Progress;
 
 /// Three points span a plane.
@@ -62,9 +62,7 @@ pub fn estimate(
     progress: &Progress<'_>,
 ) -> Result<Vec<Surface>> {
     require_at_least("k", k, LEAST_POINTS)?;
-    estimate_from(points, index, progress, |point, found| {
-        index.k_nearest(point, k, found);
-    })
+    index.map_k_nearest(&places(points, index), k, progress, surface_through)
 }
 
 /// The surface at each of `points` from the points of `index` within `radius_m` of it;
@@ -81,27 +79,21 @@ pub fn estimate_within(
     progress: &Progress<'_>,
 ) -> Result<Vec<Surface>> {
     require_positive("radius_m", radius_m)?;
-    estimate_from(points, index, progress, |point, found| {
-        index.within(point, radius_m, found);
+    index.map_within(&places(points, index), radius_m, progress, |found| {
         if found.len() < min_neighbors {
-            found.clear();
+            return Surface::NONE;
         }
+        surface_through(found)
     })
 }
 
-fn estimate_from(
-    points: &[Point],
-    index: &NeighborIndex,
-    progress: &Progress<'_>,
-    find: impl Fn(&Point, &mut Vec<Neighbor>) + Sync + Send,
-) -> Result<Vec<Surface>> {
-    let buffers = || (Vec::new(), Vec::new());
-    map_places(points, progress, buffers, |(found, neighbors), i| {
-        find(&points[i], found);
-        neighbors.clear();
-        neighbors.extend(found.iter().map(|n| index.points()[n.index as usize]));
-        surface_through(neighbors)
-    })
+/// The points of the index itself are sorted already.
+fn places(points: &[Point], index: &NeighborIndex) -> Places {
+    if std::ptr::eq(points, index.points()) {
+        index.places()
+    } else {
+        Places::new(points)
+    }
 }
 
 /// The plane of least squares through `points`.
@@ -142,6 +134,13 @@ pub(crate) struct Symmetric {
 }
 
 impl Symmetric {
+    pub(crate) fn new(diagonal: [f64; 3], off_diagonal: [f64; 3]) -> Self {
+        Self {
+            diagonal,
+            off_diagonal,
+        }
+    }
+
     /// Adds `weight`·v·vᵀ.
     #[inline]
     pub(crate) fn add(&mut self, v: Point, weight: f64) {
@@ -170,8 +169,9 @@ impl Symmetric {
                 }
                 // The turn in the plane of p and q that clears the element between them.
                 let cotangent = (d[q] - d[p]) / (2.0 * o[r]);
-                let tangent =
-                    1.0_f64.copysign(cotangent) / (cotangent.abs() + cotangent.hypot(1.0));
+                // A cotangent too large to be squared stands for no turn at all.
+                let tangent = 1.0_f64.copysign(cotangent)
+                    / (cotangent.abs() + (cotangent * cotangent + 1.0).sqrt());
                 let cosine = 1.0 / (tangent * tangent + 1.0).sqrt();
                 let sine = tangent * cosine;
                 d[p] -= tangent * o[r];
