@@ -92,6 +92,14 @@ def what_other_readers_find(formats: Path) -> dict[str, tuple[int, list[float]]]
     return result
 
 
+@cache
+def documented() -> dict[str, str]:
+    """Return file -> what docs/formats.md says that it is read as."""
+    document = Path(__file__).resolve().parents[2] / "docs" / "formats.md"
+    rows = [line.split(" | ") for line in document.read_text().splitlines() if line.startswith("| ")]
+    return {row[0].removeprefix("| "): row[2] for row in rows if len(row) > 2}
+
+
 def test_every_real_file_reads_or_is_refused_in_one_sentence(real_file: Path, data_dir: Path) -> None:
     if real_file.suffix == ".e57":
         pytest.importorskip("pye57")
@@ -106,10 +114,14 @@ def test_every_real_file_reads_or_is_refused_in_one_sentence(real_file: Path, da
         assert message.startswith(str(real_file))
         assert REFUSED[name] in message
         assert "\n" not in message
+        if name != "INDEX.tsv":
+            assert documented()[name] == f"ReadError: {message.removeprefix(f'{real_file}: ')}"
         return
     cloud = tmchho.io.read(real_file)
     assert cloud.name == str(real_file)
     assert all(len(values) == len(cloud) for values in cloud.attributes.values())
+    if name is not None:
+        assert documented()[name].startswith(f"{len(cloud)} points, ")
     if name is not None and name in what_other_readers_find(formats):
         n_points, box = what_other_readers_find(formats)[name]
         assert len(cloud) == n_points - INVALID.get(name, 0)

@@ -2,19 +2,19 @@
 
 `read` goes by the content of the file, `write` by the extension of its name:
 
-========================  =======================  =====================================================
+========================  =======================  =======================================================
 family                    extensions               written as
-========================  =======================  =====================================================
+========================  =======================  =======================================================
 LAS/LAZ                   las laz                  layout of the file read before, else LAS 1.4
 COPC                      copc.laz                 (read only, also in part)
 E57                       e57                      a scan for each station, coordinates as double
-PLY                       ply                      binary, little endian, coordinates as double
-PCD                       pcd                      binary, coordinates as double (F 8)
+PLY                       ply                      encoding of the file read before; coordinates as double
+PCD                       pcd                      encoding of the file read before; coordinates as double
 PTX                       ptx                      a grid for each station; intensity and colours only
 text                      xyz txt csv asc pts      shortest digits that read back as the same numbers
 NumPy                     npy npz                  float64; attributes as named fields or arrays
 OBJ                       obj                      (read only: the vertices)
-========================  =======================  =====================================================
+========================  =======================  =======================================================
 
 E57 needs pye57: ``pip install 'tmchho[e57]'``.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,11 +180,14 @@ def cast_if_it_fits(values: NDArray[np.float64], kind: str) -> NDArray[Any]:
 
 
 def record_array(
-    columns: Mapping[str, NDArray[Any]], types: Iterable[np.dtype[Any]], n_points: int
+    columns: Mapping[str, NDArray[Any]],
+    types: Iterable[np.dtype[Any]],
+    n_points: int,
+    byte_order: Literal["<", ">"] = "<",
 ) -> NDArray[np.void]:
-    """Return the columns side by side as one packed structured array, cast to little-endian `types`."""
+    """Return the columns side by side as one packed structured array, cast to `types` in a byte order."""
     fields = [
-        (name, kind.newbyteorder("<"), values.shape[1:])
+        (name, kind.newbyteorder(byte_order), values.shape[1:])
         for (name, values), kind in zip(columns.items(), types, strict=True)
     ]
     records = np.empty(n_points, dtype=np.dtype(fields))
