@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import faulthandler
 import json
+import logging
 import random
 import re
 import sys
@@ -245,6 +246,13 @@ def limit_memory(n_bytes: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
+class Unheard(logging.Handler):
+    """Puts messages together, which must not fail either, and keeps them to itself."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.format(record)
+
+
 def options_of(name: str, choose: random.Random) -> dict[str, object]:
     """Return arguments for `read`: COPC files are also read in part."""
     if name != "copc" or choose.random() < 0.4:
@@ -254,6 +262,7 @@ def options_of(name: str, choose: random.Random) -> dict[str, object]:
 
 
 def main(name: str, n_mutations: int, seed: int) -> None:
+    logging.basicConfig(handlers=[Unheard()], level=logging.INFO)
     choose = random.Random(f"{name} {seed}")
     with tempfile.TemporaryDirectory() as folder:
         MAKERS[name](Path(folder))
