@@ -153,6 +153,9 @@ def test_scaled_integers_and_the_kinds_of_fields(tmp_path: Path) -> None:
     assert cloud.attributes["red"].dtype == np.uint8
     assert cloud.attributes["return_number"].tolist() == [1, 2, 3, 4]  # LAS counts from 1
     assert cloud.attributes["number_of_returns"].tolist() == [4] * 4
+    fields["returnIndex"] = (whole(0, 4), np.array([1, 2, 3, 4], dtype=np.int8))
+    write_fields(tmp_path / "b.e57", fields)  # against the standard, but found in the wild
+    assert tmchho.io.read(tmp_path / "b.e57").attributes["return_number"].tolist() == [1, 2, 3, 4]
     assert cloud.attributes["row_index"].tolist() == [0, 70_000, 1, 2]
     assert cloud.crs == wkt
 

@@ -165,9 +165,12 @@ def _cartesian(spherical: NDArray[np.float64]) -> NDArray[np.float64]:
 def _attributes(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Give the fields the names of this package, without the prefixes of extensions."""
     attributes: dict[str, NDArray[Any]] = {}
+    first, counts = columns.get("returnIndex"), columns.get("returnCount")
+    # Some programs count from 1 against the standard: then the last return is beyond the count.
+    is_off = first is not None and counts is not None and bool((first >= counts).any())
     local_names = [_NAMES.get(name, name.rpartition(":")[2]) for name in columns]
     for name, values in zip(canonical_names(local_names), columns.values(), strict=True):
-        attributes[name] = values + 1 if name == "return_number" else values
+        attributes[name] = values + 1 if name == "return_number" and not is_off else values
     return attributes
 
 
