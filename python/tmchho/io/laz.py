@@ -118,8 +118,9 @@ def read_compression(header: LasHeader) -> Compression:
     if record is None or len(record) < 34:
         raise ReadError("is damaged: the record that tells how it is compressed is missing; copy it again")
     (n_parts,) = struct.unpack_from("<H", record, 32)
-    parts = list(struct.iter_unpack("<HHH", record[34 : 34 + 6 * n_parts]))
-    if len(record) < 34 + 6 * n_parts or sum(n_bytes for _, n_bytes, _ in parts) != header.point_bytes:
+    listed = record[34 : 34 + 6 * n_parts]
+    parts = list(struct.iter_unpack("<HHH", listed[: len(listed) // 6 * 6]))
+    if len(parts) < n_parts or sum(n_bytes for _, n_bytes, _ in parts) != header.point_bytes:
         raise ReadError("contradicts itself: its compressed points have another size; export it again")
     compressor, chunk_size = struct.unpack_from("<H10xI", record)
     if any((compressor == _LAYERED) != (number in _LAYERED_PARTS) for number, _, _ in parts):
