@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import tmchho.io
+from tmchho.cli.display import display
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError
 
@@ -134,6 +135,18 @@ def test_assumptions_and_doubts_are_logged(tmp_path: Path, caplog: pytest.LogCap
     assert "no column is called x, y or z; taking a, b, c" in caplog.text
     assert "is it a point number?" in caplog.text
     assert "announces 1 points and holds 2" in caplog.text
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_the_command_line_says_what_was_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], quiet: bool
+) -> None:
+    with display(quiet):
+        read_text(tmp_path, "1,5;2,5;3,5;10;20;30\n")
+    told = (
+        "assumed semicolons between values, decimal ',', numbers from line 1 on, columns x y z red green blue"
+    )
+    assert (told in capsys.readouterr().err) != quiet
 
 
 # --- damage ---
