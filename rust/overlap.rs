@@ -1,50 +1,14 @@
-//! Where two clouds show the same place: bounded distances, and points that repeat others.
+//! Where two clouds show the same surface: the points of one that repeat the other.
 //!
-//! Why: clouds larger than memory are compared tile by tile, where a partner beyond the tile's
-//! margin is as good as none; and a merged cloud should not show one surface twice as densely as
-//! either survey did.
-//! Reads: points and a neighbour index in one frame.  Leaves: neighbours; flags.
+//! Why: a merged cloud should not show one surface twice as densely as either survey did.
+//! Reads: neighbours, and the index of either cloud.  Leaves: flags.
 //! Source: this project.  Deviates: nowhere.
 //! Absent on purpose: the hole radius, which is the caller's.
 
-use crate::cloud::{Point, distance_sq};
 use crate::error::Result;
-use crate::neighbors::{Neighbor, NeighborIndex, map_places};
+use crate::neighbors::{Neighbor, NeighborIndex};
 use crate::parallel;
 use crate::progress::Progress;
-
-/// The nearest point of `to` for each of `places`, `None` where none lies within `max_distance_m`.
-///
-/// ```
-/// use tmchho::{neighbors::NeighborIndex, overlap::nearest_within, progress::Progress};
-/// let to = NeighborIndex::new(&[[0.0; 3], [10.0, 0.0, 0.0]]);
-/// let places = [[9.0, 0.0, 0.0], [5.0, 0.0, 0.0]];
-/// let found = nearest_within(&places, &to, 2.0, &Progress::silent())?;
-/// assert_eq!(found[0].map(|n| (n.index, n.distance_sq)), Some((1, 1.0)));
-/// assert_eq!(found[1], None);
-/// # Ok::<(), tmchho::Error>(())
-/// ```
-///
-/// # Errors
-/// [`crate::Error::Cancelled`].
-pub fn nearest_within(
-    places: &[Point],
-    to: &NeighborIndex,
-    max_distance_m: f64,
-    progress: &Progress<'_>,
-) -> Result<Vec<Option<Neighbor>>> {
-    let max_sq = max_distance_m * max_distance_m;
-    // The partner of the place before bounds the search for this one.
-    let start = || None;
-    map_places(places, progress, start, |last: &mut Option<u32>, i| {
-        let bound_sq = last.map_or(f64::INFINITY, |at| {
-            distance_sq(&places[i], &to.points()[at as usize])
-        });
-        let found = to.nearest_within(&places[i], bound_sq.min(max_sq));
-        *last = found.map(|neighbor| neighbor.index).or(*last);
-        found
-    })
-}
 
 /// Which points of a cloud repeat what another shows: those whose `nearest` point in the other lies
 /// nearer than the nearest other point of their own cloud, and than the nearest other point of that
@@ -52,6 +16,18 @@ pub fn nearest_within(
 ///
 /// `nearest` belongs to the points of `own` in their order; its distances are `scale` times as long
 /// as those in `own`, because the clouds may be in different frames.
+///
+/// ```
+/// use tmchho::{neighbors::NeighborIndex, overlap::repeated, progress::Progress};
+/// let row = |x: f64| [x, 0.0, 0.0];
+/// let own = NeighborIndex::new(&[0.0, 1.0, 2.0].map(row));
+/// let other = NeighborIndex::new(&[0.25, 9.0].map(row));
+/// let nearest = other.nearest_all_within(&own.places(), 4.0, &Progress::silent())?;
+/// // Two lie nearer to 0.25 than to their own neighbours, and than 0.25 to its own.
+/// let flags = repeated(&nearest, &own, 1.0, &other, &Progress::silent())?;
+/// assert_eq!(flags, [true, true, false]);
+/// # Ok::<(), tmchho::Error>(())
+/// ```
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`].
@@ -80,6 +56,7 @@ pub fn repeated(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::{Point, distance_sq};
     use crate::random::Stream;
 
     fn draw(n: usize, seed: u64) -> Vec<Point> {
@@ -96,27 +73,12 @@ mod tests {
     }
 
     #[test]
-    fn bounded_distances_agree_with_brute_force() {
-        let (from, to) = (draw(60_000, 1), draw(300, 2));
-        let found =
-            nearest_within(&from, &NeighborIndex::new(&to), 0.4, &Progress::silent()).unwrap();
-        let mut n_found = 0;
-        for (p, found) in from.iter().zip(found) {
-            let wanted = least_sq(p, &to);
-            assert_eq!(
-                found.map(|n| n.distance_sq),
-                (wanted <= 0.4 * 0.4).then_some(wanted)
-            );
-            n_found += usize::from(found.is_some());
-        }
-        assert!((10_000..50_000).contains(&n_found), "{n_found}");
-    }
-
-    #[test]
     fn a_repetition_is_nearer_than_both_clouds_are_dense() {
         let (own, other) = (draw(500, 3), draw(400, 4));
         let (a, b) = (NeighborIndex::new(&own), NeighborIndex::new(&other));
-        let nearest = nearest_within(&own, &b, f64::INFINITY, &Progress::silent()).unwrap();
+        let nearest = b
+            .nearest_all_within(&a.places(), f64::INFINITY, &Progress::silent())
+            .unwrap();
         let flags = repeated(&nearest, &a, 1.0, &b, &Progress::silent()).unwrap();
         for (i, flag) in flags.iter().enumerate() {
             let partner = nearest[i].unwrap();

@@ -104,7 +104,15 @@ def crs_differences(source: str | None, target: str | None) -> list[str]:
 
 
 def crs_doubts(wkt: str | None, lowest: ArrayLike, highest: ArrayLike) -> list[str]:
-    """Return what does not fit between a system and the box of the points that are said to be in it."""
+    """Return what does not fit between a system and the box of the points that are said to be in it.
+
+    Parameters
+    ----------
+    wkt : str, optional
+        The system.
+    lowest, highest : (3,) array_like
+        Corners of the box.
+    """
     low, high = np.asarray(lowest, dtype=np.float64), np.asarray(highest, dtype=np.float64)
     if wkt is None:
         return (

@@ -7,7 +7,7 @@ use super::arrays::{ReadArray, dict, from_points, from_vec, points};
 use super::run::{briefly, with_progress};
 use crate::cloud::{Cloud, Point};
 use crate::error::Error;
-use crate::neighbors::{Neighbor, NeighborIndex};
+use crate::neighbors::{Neighbor, NeighborIndex, Places};
 use crate::overlap;
 use crate::parallel;
 use crate::running_voxels::{self, Thinned};
@@ -78,7 +78,8 @@ pub(super) fn distances_within<'py>(
         let to_local = |p: &Point| std::array::from_fn(|axis| p[axis] - origin[axis]);
         let local: Vec<Point> = own.iter().map(to_local).collect();
         let index = NeighborIndex::new(others.points());
-        let nearest = overlap::nearest_within(&local, &index, max_distance, progress)?;
+        let max_sq = max_distance * max_distance;
+        let nearest = index.nearest_all_within(&Places::new(&local), max_sq, progress)?;
         let flags = match repeated {
             false => None,
             true => {
@@ -162,9 +163,7 @@ impl PointIndex {
         let distances = with_progress(py, None, |progress| {
             let to_local = |p: &Point| std::array::from_fn(|axis| p[axis] - self.origin[axis]);
             let places: Vec<Point> = given.iter().map(to_local).collect();
-            let nearest = overlap::nearest_within(&places, &self.index, f64::INFINITY, progress)?;
-            let distance = |n: &Option<Neighbor>| n.map_or(f64::INFINITY, |n| n.distance_sq.sqrt());
-            Ok(nearest.iter().map(distance).collect::<Vec<f64>>())
+            self.index.distances_to(&Places::new(&places), progress)
         })?;
         briefly(|| Ok(from_vec(py, distances)))
     }

@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     Remarks = Callable[[PointCloud, Registration], dict[str, Any]]
 
 
-# Shorter steps of float32 coordinates do not show in any survey.
-_COARSE_STEP = 1e-3
-
-
 @dataclass(frozen=True)
 class Job:
     """Two files to register.
@@ -138,17 +134,10 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
 
 def _read(path: Path, shown: Display) -> PointCloud:
     from tmchho import read
-    from tmchho.crs import float32_step
 
     with shown.step("read", f"reading {path}"):
         cloud = read(path)
     shown.note(f"{path}: {len(cloud):,} points")
-    step = float32_step(cloud.xyz)
-    if step is not None and step >= _COARSE_STEP:
-        shown.warn(
-            f"{path}: coordinates were stored as float32, in steps of {step:.3g} at this distance from the "
-            "origin; export again with double precision or after subtracting an offset"
-        )
     return cloud
 
 

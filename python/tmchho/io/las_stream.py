@@ -65,7 +65,7 @@ class LasPoints:
         standard = laspy.PointFormat(header.point_format)
         taken = {*(dimension.name for dimension in standard.dimensions), *standard.dtype().names}
         n_extra_bytes = header.point_bytes - POINT_BYTES[header.point_format]
-        return cls(path, header, tuple(read_dimensions(header.find(EXTRA_BYTES), n_extra_bytes, taken)))
+        return cls(path, header, tuple(read_dimensions(header.find_all(EXTRA_BYTES), n_extra_bytes, taken)))
 
     def __len__(self) -> int:
         return self.header.n_points
