@@ -17,6 +17,8 @@ use crate::parallel;
 
 /// Fewest points in a cube from which its normal is taken; others get the mean of those.
 const LEAST_POINTS: f64 = 6.0;
+/// More cubes are not kept: their edge is doubled instead.
+const MAX_CUBES: usize = 1 << 18;
 /// The mean of |nx| + |ny| + |nz| over all directions, where no cube has enough points.
 const MEAN_SUM: f64 = 1.5;
 
@@ -37,6 +39,7 @@ const MEAN_SUM: f64 = 1.5;
 #[derive(Debug)]
 pub struct SurfaceArea {
     edge_m: f64,
+    max_cubes: usize,
     numbers: HashMap<[i64; 3], u32>,
     cubes: Vec<Moments>,
 }
@@ -52,6 +55,7 @@ impl SurfaceArea {
     pub fn new(edge_m: f64) -> Result<Self> {
         Ok(Self {
             edge_m: require_positive("edge_m", edge_m)?,
+            max_cubes: MAX_CUBES,
             numbers: HashMap::new(),
             cubes: Vec::new(),
         })
@@ -81,8 +85,34 @@ impl SurfaceArea {
             for (sum, term) in self.cubes[number].iter_mut().zip(terms) {
                 *sum += term;
             }
+            while self.cubes.len() > self.max_cubes {
+                self.coarsen();
+            }
         }
         Ok(())
+    }
+
+    /// Doubles the edge: eight cubes become one.
+    fn coarsen(&mut self) {
+        self.edge_m *= 2.0;
+        let old = std::mem::take(&mut self.cubes);
+        let mut keys = vec![[0; 3]; old.len()];
+        // Whatever the order of the table, each key is put in its place.
+        self.numbers
+            .drain()
+            .for_each(|(key, number)| keys[number as usize] = key);
+        for (key, moments) in keys.iter().zip(old) {
+            let n_cubes = self.cubes.len();
+            let coarse = key.map(|v| v.div_euclid(2));
+            let number = *self.numbers.entry(coarse).or_insert(n_cubes as u32) as usize;
+            if number == n_cubes {
+                self.cubes.push([0.0; 10]);
+            }
+            let moved = in_a_cube_twice_as_long(&moments, key.map(|v| v.rem_euclid(2) as f64));
+            for (sum, more) in self.cubes[number].iter_mut().zip(moved) {
+                *sum += more;
+            }
+        }
     }
 
     /// The area of all that was added.
@@ -102,6 +132,23 @@ impl SurfaceArea {
         let n_unknown = sums.iter().filter(|sum| sum.is_none()).count();
         self.edge_m * self.edge_m * (known + mean * n_unknown as f64)
     }
+}
+
+/// The moments about the corner of a cube twice as long, in which the old one stands at `place`.
+fn in_a_cube_twice_as_long(moments: &Moments, [a, b, c]: Point) -> Moments {
+    let [n, x, y, z, xx, yy, zz, xy, xz, yz] = *moments;
+    let first = [x + a * n, y + b * n, z + c * n].map(|sum| sum / 2.0);
+    let second = [
+        xx + 2.0 * a * x + a * a * n,
+        yy + 2.0 * b * y + b * b * n,
+        zz + 2.0 * c * z + c * c * n,
+        xy + a * y + b * x + a * b * n,
+        xz + a * z + c * x + a * c * n,
+        yz + b * z + c * y + b * c * n,
+    ]
+    .map(|sum| sum / 4.0);
+    let ([x, y, z], [xx, yy, zz, xy, xz, yz]) = (first, second);
+    [n, x, y, z, xx, yy, zz, xy, xz, yz]
 }
 
 /// |nx| + |ny| + |nz| of the plane through the points of a cube.
@@ -160,6 +207,19 @@ mod tests {
             let found = area(&square(turn, seed), 0.5);
             assert!((360.0..450.0).contains(&found), "{found} at {turn:?}");
         }
+    }
+
+    #[test]
+    fn a_limit_makes_cubes_longer_and_moves_nothing() {
+        let points = square([0.3, 0.9, -1.2], 3);
+        let mut limited = SurfaceArea {
+            max_cubes: 2000,
+            ..SurfaceArea::new(0.125).unwrap()
+        };
+        limited.add(&points).unwrap();
+        assert!(limited.edge_m > 0.2 && limited.cubes.len() <= 2000);
+        let wanted = area(&points, limited.edge_m);
+        assert!((limited.total() / wanted - 1.0).abs() < 1e-6);
     }
 
     #[test]

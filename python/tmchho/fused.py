@@ -41,7 +41,7 @@ class FusedCloud(ReadOnlyArrays):
     n_filled_by_source, n_filled_by_target : int
         How many points of the one cloud fill a hole of the other.
     area_filled_by_source, area_filled_by_target : float
-        Area of the surface that these points show, to about one hole radius along its rim.
+        Area of the surface that these points show; see ``docs/files.md`` for how it is measured.
     n_repeated : int
         Points of the source that were left out because they repeat the target.
     """

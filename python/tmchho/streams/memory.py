@@ -23,7 +23,7 @@ _MOST_CENTROIDS = 4_000_000  # more make a pose slower, not better
 _FEWEST_CENTROIDS = 20_000
 # What a point of a tile takes: its record, its coordinates, its place in two trees.
 _TILE_SHARE = 0.25
-_BYTES_PER_TILE_POINT = 250
+_BYTES_PER_TILE_POINT = 350
 _MOST_TILE_POINTS = 3_000_000
 _FEWEST_TILE_POINTS = 50_000
 
