@@ -81,9 +81,7 @@ impl Cloud {
     /// [`Error::CoordinateTooLarge`].
     pub fn of_any_shape(what: &str, points: &[Point]) -> Result<Self> {
         let finite = |p: &Point| p.iter().all(|v| v.is_finite());
-        let parts = parallel::map(points.len().div_ceil(parallel::CHUNK), |chunk| {
-            let rest = &points[chunk * parallel::CHUNK..];
-            let part = &rest[..rest.len().min(parallel::CHUNK)];
+        let parts = parallel::map_chunks(points, |part| {
             let n_finite = part.iter().filter(|p| finite(p)).count();
             (n_finite, corners(part.iter().filter(|p| finite(p))))
         });
@@ -228,7 +226,10 @@ pub(crate) fn bounds(points: &[Point]) -> (Point, Point) {
     if points.is_empty() {
         return ([0.0; 3], [0.0; 3]);
     }
-    corners(points.iter())
+    let parts = parallel::map_chunks(points, |part| corners(part.iter()));
+    let (low, _) = corners(parts.iter().map(|(low, _)| low));
+    let (_, high) = corners(parts.iter().map(|(_, high)| high));
+    (low, high)
 }
 
 /// Lower and upper corner of the box round `points`; at infinity where there are none.

@@ -32,20 +32,7 @@ pub fn nearest_distances(
     to: &NeighborIndex,
     progress: &Progress<'_>,
 ) -> Result<Vec<f64>> {
-    distances_from(&Places::new(from), to, progress)
-}
-
-/// [`nearest_distances`] from places that are sorted already, in the order in which they were given.
-///
-/// # Errors
-/// As [`NeighborIndex::nearest_all`].
-pub fn distances_from(
-    from: &Places,
-    to: &NeighborIndex,
-    progress: &Progress<'_>,
-) -> Result<Vec<f64>> {
-    let nearest = to.nearest_to(from, progress)?;
-    Ok(nearest.iter().map(|n| n.distance_sq.sqrt()).collect())
+    to.distances_to(&Places::new(from), progress)
 }
 
 /// Distances summed up, in metres.
@@ -117,7 +104,11 @@ fn quantile(values: &mut [f64], share: f64) -> f64 {
     let rank = share * (values.len() - 1) as f64;
     let (_, below, rest) = values.select_nth_unstable_by(rank.floor() as usize, f64::total_cmp);
     // At the last rank there is nothing above.
-    let above = rest.iter().copied().min_by(f64::total_cmp).unwrap_or(*below);
+    let above = rest
+        .iter()
+        .copied()
+        .min_by(f64::total_cmp)
+        .unwrap_or(*below);
     *below + (above - *below) * rank.fract()
 }
 

@@ -143,7 +143,7 @@ impl Covariance {
         }
         let weight = self.weights[0] + self.weights[1];
         let [xx, yy, zz, yz, xz, xy] = self.products.map(|[a, b]| (a + b) / weight);
-        Some(Symmetric::new([xx, yy, zz], [yz, xz, xy]).eigen().0)
+        Some(Symmetric::new([xx, yy, zz], [yz, xz, xy]).eigenvalues())
     }
 }
 
@@ -165,7 +165,11 @@ impl Collector for Covariance {
             weights[lane] = if is_neighbor { weight } else { 0.0 };
             for axis in 0..3 {
                 // Points that fill up a block stand at infinity.
-                offsets[axis][lane] = if is_neighbor { offsets[axis][lane] } else { 0.0 };
+                offsets[axis][lane] = if is_neighbor {
+                    offsets[axis][lane]
+                } else {
+                    0.0
+                };
             }
             self.n_neighbors += usize::from(is_neighbor);
         }
@@ -265,7 +269,9 @@ mod tests {
             let lambda = |covariance: &Covariance| covariance.eigenvalues(options.min_neighbors);
             let place = Places::new(&points[..1]);
             let fresh = || Covariance::within(radius_m);
-            index.map_collected(&place, fresh, &Progress::silent(), lambda).unwrap()[0]
+            index
+                .map_collected(&place, fresh, &Progress::silent(), lambda)
+                .unwrap()[0]
         };
         let lambda = round_the_first(5.0).unwrap();
         for (got, wanted) in lambda.iter().zip([16.0 / 7.0, 8.0 / 7.0, 4.0 / 7.0]) {

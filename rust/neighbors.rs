@@ -19,10 +19,10 @@ mod sort;
 use std::sync::OnceLock;
 
 pub(crate) use blocks::{Block, WIDTH, sum_of_squares};
-use blocks::Blocks;
+use blocks::{Blocks, greater};
 pub(crate) use collect::Collector;
-pub(crate) use follow::Follower;
 use collect::{Count, Held, KNearest, Nearest, NearestElsewhere, Within};
+pub(crate) use follow::Follower;
 use general::General;
 pub use group::Places;
 pub(crate) use group::map_places;
@@ -119,10 +119,16 @@ impl NeighborIndex {
     /// by rising distance, then index. A point at `place` itself is one of them.
     pub fn k_nearest(&self, place: &Point, k: usize, out: &mut Vec<Neighbor>) {
         let mut nearest = KNearest::default();
-        nearest.restart(k);
+        nearest.restart(k, f64::MAX);
         self.tree.ask(place, &mut nearest);
         out.clear();
-        out.extend(nearest.finish_in_order().iter().copied().map(Neighbor::from));
+        out.extend(
+            nearest
+                .finish_in_order()
+                .iter()
+                .copied()
+                .map(Neighbor::from),
+        );
     }
 
     /// Replaces `out` with the points at most `radius_m` from `place`, by rising index.
@@ -158,6 +164,25 @@ impl NeighborIndex {
     /// # Errors
     /// As [`NeighborIndex::nearest_all`].
     pub fn nearest_to(&self, places: &Places, progress: &Progress<'_>) -> Result<Vec<Neighbor>> {
+        self.check_places(places)?;
+        let found = self.nearest_all_within(places, f64::INFINITY, progress)?;
+        Ok(found.into_iter().flatten().collect())
+    }
+
+    /// The distance to the nearest point from every one of `places`, in the order in which they were
+    /// given.
+    ///
+    /// # Errors
+    /// As [`NeighborIndex::nearest_all`].
+    pub fn distances_to(&self, places: &Places, progress: &Progress<'_>) -> Result<Vec<f64>> {
+        self.check_places(places)?;
+        let nobody = f64::INFINITY;
+        self.map_nearest(places, f64::INFINITY, progress, |found| {
+            found.map_or(nobody, |neighbor| neighbor.distance_sq.sqrt())
+        })
+    }
+
+    fn check_places(&self, places: &Places) -> Result<()> {
         if self.is_empty() && !places.is_empty() {
             return Err(Error::TooFewPoints {
                 what: "cloud that distances are measured to".into(),
@@ -165,11 +190,14 @@ impl NeighborIndex {
                 needed: 1,
             });
         }
-        if !places.points().iter().flatten().all(|v| v.is_finite()) {
-            return Err(Error::argument("places", "hold a coordinate that is not finite"));
+        let is_finite = |at| places.point(at).iter().all(|v| v.is_finite());
+        if !(0..places.len()).all(is_finite) {
+            return Err(Error::argument(
+                "places",
+                "hold a coordinate that is not finite",
+            ));
         }
-        let found = self.nearest_all_within(places, f64::INFINITY, progress)?;
-        Ok(found.into_iter().flatten().collect())
+        Ok(())
     }
 
     /// [`NeighborIndex::nearest_within`] of every one of `places`, in the order in which they were
@@ -183,17 +211,27 @@ impl NeighborIndex {
         max_distance_sq: f64,
         progress: &Progress<'_>,
     ) -> Result<Vec<Option<Neighbor>>> {
+        self.map_nearest(places, max_distance_sq, progress, |found| found)
+    }
+
+    fn map_nearest<T: Copy + Send + Sync>(
+        &self,
+        places: &Places,
+        max_distance_sq: f64,
+        progress: &Progress<'_>,
+        answer: impl Fn(Option<Neighbor>) -> T + Sync + Send,
+    ) -> Result<Vec<T>> {
         // What was found for the places before bounds the search for these: exact, and far from the
         // cloud many times as fast.
         let begin = |last: &mut Option<Point>, nearest: &mut Nearest, at: usize| {
-            let to_last = |last| distance_sq(&places.points()[at], last);
+            let to_last = |last| distance_sq(places.point(at), last);
             let known_sq = last.as_ref().map_or(f64::INFINITY, to_last);
             *nearest = Nearest::within(max_distance_sq.min(known_sq));
         };
         let end = |last: &mut Option<Point>, nearest: &mut Nearest, _| {
             let found = nearest.found();
             *last = found.map(|held| self.tree.point(held.slot));
-            found.map(Neighbor::from)
+            answer(found.map(Neighbor::from))
         };
         let scratch = || (None, [Nearest::within(max_distance_sq); WIDTH]);
         self.tree.ask_all(places, progress, scratch, begin, end)
@@ -229,13 +267,40 @@ impl NeighborIndex {
         progress: &Progress<'_>,
         answer: impl Fn(&[Point]) -> T + Sync + Send,
     ) -> Result<Vec<T>> {
-        self.tree.ask_all(
-            places,
-            progress,
-            || (Vec::new(), std::array::from_fn(|_| KNearest::default())),
-            |_, nearest, _| nearest.restart(k),
-            |points, nearest, _| answer(self.points_at(nearest.finish(), points)),
-        )
+        /// How much farther, squared, the k-th point may be than those of the places before.
+        const MARGIN: f64 = 1.3;
+        struct Scratch {
+            points: Vec<Point>,
+            /// Squared distance within which the k nearest are guessed to lie.
+            guess_sq: f64,
+            /// The farthest k-th point of this group.
+            farthest_sq: f64,
+        }
+        let scratch = || {
+            let scratch = Scratch {
+                points: Vec::new(),
+                guess_sq: f64::MAX,
+                farthest_sq: 0.0,
+            };
+            (scratch, std::array::from_fn(|_| KNearest::default()))
+        };
+        let begin = |scratch: &mut Scratch, nearest: &mut KNearest, at: usize| {
+            if at.is_multiple_of(WIDTH) && scratch.farthest_sq > 0.0 {
+                scratch.guess_sq = MARGIN * scratch.farthest_sq;
+                scratch.farthest_sq = 0.0;
+            }
+            nearest.restart(k, scratch.guess_sq);
+        };
+        let end = |scratch: &mut Scratch, nearest: &mut KNearest, at: usize| {
+            if !nearest.is_complete() {
+                nearest.restart(k, f64::MAX);
+                self.tree.ask(places.point(at), nearest);
+            }
+            nearest.finish();
+            scratch.farthest_sq = greater(nearest.reach_sq(), scratch.farthest_sq);
+            answer(self.points_at(&nearest.found, &mut scratch.points))
+        };
+        self.tree.ask_all(places, progress, scratch, begin, end)
     }
 
     /// What `answer` makes of the points at most `radius_m` from each of `places` (in no particular

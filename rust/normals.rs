@@ -154,6 +154,17 @@ impl Symmetric {
     /// Eigenvalues in falling order, and the unit eigenvector of each. Exact to the rounding of the
     /// largest; the smallest may come out a trifle below zero.
     pub(crate) fn eigen(&self) -> ([f64; 3], [Point; 3]) {
+        self.turned_onto_axes::<true>()
+    }
+
+    /// Eigenvalues in falling order, as from [`Symmetric::eigen`].
+    pub(crate) fn eigenvalues(&self) -> [f64; 3] {
+        self.turned_onto_axes::<false>().0
+    }
+
+    /// The eigenvectors are left out unless `VECTORS`.
+    #[inline]
+    fn turned_onto_axes<const VECTORS: bool>(&self) -> ([f64; 3], [Point; 3]) {
         const MAX_SWEEPS: usize = 16;
         let (mut d, mut o) = (self.diagonal, self.off_diagonal);
         let mut vectors = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
@@ -167,9 +178,9 @@ impl Symmetric {
                 if o[r] == 0.0 {
                     continue;
                 }
-                // The turn in the plane of p and q that clears the element between them.
+                // The turn in the plane of p and q that clears the element between them. A cotangent too
+                // large to be squared stands for no turn at all.
                 let cotangent = (d[q] - d[p]) / (2.0 * o[r]);
-                // A cotangent too large to be squared stands for no turn at all.
                 let tangent = 1.0_f64.copysign(cotangent)
                     / (cotangent.abs() + (cotangent * cotangent + 1.0).sqrt());
                 let cosine = 1.0 / (tangent * tangent + 1.0).sqrt();
@@ -179,9 +190,11 @@ impl Symmetric {
                 o[r] = 0.0;
                 // o[q] stands between r and p, o[p] between r and q.
                 (o[q], o[p]) = (cosine * o[q] - sine * o[p], sine * o[q] + cosine * o[p]);
-                let (a, b) = (vectors[p], vectors[q]);
-                vectors[p] = std::array::from_fn(|axis| cosine * a[axis] - sine * b[axis]);
-                vectors[q] = std::array::from_fn(|axis| sine * a[axis] + cosine * b[axis]);
+                if VECTORS {
+                    let (a, b) = (vectors[p], vectors[q]);
+                    vectors[p] = std::array::from_fn(|axis| cosine * a[axis] - sine * b[axis]);
+                    vectors[q] = std::array::from_fn(|axis| sine * a[axis] + cosine * b[axis]);
+                }
             }
         }
         let mut order = [0, 1, 2];
@@ -243,6 +256,7 @@ mod tests {
                 twin += weight * v * v.transpose();
             }
             let (lambda, vectors) = scatter.eigen();
+            assert_eq!(scatter.eigenvalues(), lambda);
             let mut wanted: Vec<f64> = SymmetricEigen::new(twin)
                 .eigenvalues
                 .iter()

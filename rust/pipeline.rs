@@ -16,7 +16,7 @@ use crate::coarse::CoarseResult;
 use crate::config::{Config, Mode};
 use crate::deadline::Deadline;
 use crate::error::{Error, Result};
-use crate::evaluate::{DistanceStatistics, distances_from, share_within};
+use crate::evaluate::{DistanceStatistics, share_within};
 use crate::fitness::{self, Tolerance, agreement};
 use crate::freedom::Freedom;
 use crate::icp::{Clouds, IcpResult, IcpStop, icp};
@@ -196,8 +196,13 @@ fn route(
     } else {
         (coarse_pose, before, None)
     };
-    let support =
-        fitness::support(source_surface, target_surface, &pose, max_distance_m, progress)?;
+    let support = fitness::support(
+        source_surface,
+        target_surface,
+        &pose,
+        max_distance_m,
+        progress,
+    )?;
     let support_back = fitness::support(
         target_surface,
         source_surface,
@@ -376,9 +381,9 @@ fn distances(
 ) -> Result<(Vec<f64>, Vec<f64>)> {
     let source_from_target = target_from_source.inverse();
     let forth = source.places().moved(|p| target_from_source.apply(p));
-    let forth = distances_from(&forth, target, progress)?;
+    let forth = target.distances_to(&forth, progress)?;
     let back = target.places().moved(|p| source_from_target.apply(p));
-    let back = distances_from(&back, source, progress)?;
+    let back = source.distances_to(&back, progress)?;
     // Both are told in the target's unit.
     let scale = target_from_source.scale;
     let back = match scale {

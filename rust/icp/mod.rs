@@ -162,12 +162,15 @@ pub fn icp(
     clouds.check(method)?;
     // Neighbours one after the other find their partners together.
     let order = Places::new(clouds.source);
+    let source: Vec<Point> = (0..order.len()).map(|at| *order.point(at)).collect();
     let source_surfaces = match clouds.source_surfaces {
         [] => Vec::new(),
-        surfaces => order.given().iter().map(|i| surfaces[*i as usize]).collect(),
+        surfaces => (0..order.len())
+            .map(|at| surfaces[order.given(at)])
+            .collect(),
     };
     let clouds = &Clouds {
-        source: order.points(),
+        source: &source,
         source_surfaces: &source_surfaces,
         ..*clouds
     };
@@ -342,7 +345,9 @@ impl Refinement<'_> {
         let pose = found * fixed;
         let chunks = parallel::chunks(source.len(), progress, |range| {
             let pairs = self.pairs.places_within(range);
-            pairs.map(|(i, partner)| distance_sq(&pose.apply(&source[i]), partner)).sum::<f64>()
+            pairs
+                .map(|(i, partner)| distance_sq(&pose.apply(&source[i]), partner))
+                .sum::<f64>()
         })?;
         Ok(Some(Step {
             pose,

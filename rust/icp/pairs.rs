@@ -102,19 +102,25 @@ impl Pairs {
     }
 
     /// (source index, where its partner stands) of some of the pairs that count.
-    pub(super) fn places_within(&self, range: Range<usize>) -> impl Iterator<Item = (usize, &Point)> {
-        self.followers_within(range).map(|(i, follower)| (i, follower.nearest()))
+    pub(super) fn places_within(
+        &self,
+        range: Range<usize>,
+    ) -> impl Iterator<Item = (usize, &Point)> {
+        self.followers_within(range)
+            .map(|(i, follower)| (i, follower.nearest()))
     }
 
     fn followers_within(&self, range: Range<usize>) -> impl Iterator<Item = (usize, &Follower)> {
         let max_sq = self.max_sq.min(self.limit_sq);
-        let counts = move |follower: &Follower| follower.found().is_some_and(|(_, sq)| sq <= max_sq);
+        let counts =
+            move |follower: &Follower| follower.found().is_some_and(|(_, sq)| sq <= max_sq);
         let followers = range.clone().zip(&self.followers[range]);
         followers.filter(move |(_, follower)| counts(follower))
     }
 
     fn distances_sq(&self) -> impl Iterator<Item = f64> {
-        self.all_sq().filter(|distance_sq| *distance_sq <= self.max_sq)
+        self.all_sq()
+            .filter(|distance_sq| *distance_sq <= self.max_sq)
     }
 
     /// Root mean squared distance of the pairs that count.

@@ -81,6 +81,17 @@ pub(super) fn smaller(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
+/// A bit for each lane whose distance is within its reach. No branch: which lanes these are, a
+/// processor cannot guess.
+#[inline(always)]
+pub(super) fn lanes_within<const N: usize>(gaps_sq: &[f64; N], reach_sq: &[f64; N]) -> u32 {
+    let mut lanes = 0;
+    for lane in 0..N {
+        lanes |= u32::from(gaps_sq[lane] <= reach_sq[lane]) << lane;
+    }
+    lanes
+}
+
 /// Boxes round eight blocks or nodes. Where there are fewer, the others are empty, at infinity.
 #[derive(Debug, Clone)]
 pub(super) struct Node {
@@ -117,8 +128,12 @@ impl Node {
 
     fn bounds(&self) -> Bounds {
         Bounds {
-            low: self.low.map(|low| low.into_iter().fold(f64::INFINITY, f64::min)),
-            high: self.high.map(|high| high.into_iter().fold(f64::NEG_INFINITY, f64::max)),
+            low: self
+                .low
+                .map(|low| low.into_iter().fold(f64::INFINITY, f64::min)),
+            high: self
+                .high
+                .map(|high| high.into_iter().fold(f64::NEG_INFINITY, f64::max)),
             least_index: self.least_index.into_iter().fold(u32::MAX, u32::min),
         }
     }
@@ -126,7 +141,10 @@ impl Node {
     /// The lower and the upper corner of the box round one child.
     #[inline(always)]
     pub(super) fn child_box(&self, lane: usize) -> (Point, Point) {
-        (self.low.map(|low| low[lane]), self.high.map(|high| high[lane]))
+        (
+            self.low.map(|low| low[lane]),
+            self.high.map(|high| high[lane]),
+        )
     }
 
     /// Squared distances from the box of a search to those of the children.
@@ -238,10 +256,12 @@ impl Blocks {
     }
 
     /// The points with their indices, in the order of the blocks.
-    pub(super) fn entries(&self) -> impl Iterator<Item = (Point, u32)> {
+    pub(super) fn entries(&self) -> impl Iterator<Item = Entry> {
         let of_block = |block: &'_ Block| {
-            let point = |lane| std::array::from_fn(|axis| block.coordinates[axis][lane]);
-            std::array::from_fn::<_, WIDTH, _>(|lane| (point(lane), block.indices[lane]))
+            std::array::from_fn::<_, WIDTH, _>(|lane| Entry {
+                point: block.coordinates.map(|along| along[lane]),
+                index: block.indices[lane],
+            })
         };
         self.blocks.iter().flat_map(of_block).take(self.n_points)
     }
@@ -258,8 +278,14 @@ impl Blocks {
         let mut n_waiting = 1;
         while n_waiting > 0 {
             n_waiting -= 1;
-            let Waiting { gap_sq, child, least_index, parent } = waiting[n_waiting];
+            let Waiting {
+                gap_sq,
+                child,
+                least_index,
+                parent,
+            } = waiting[n_waiting];
             let reach_sq = search.reach_sq();
+            // The empty children of a last node are infinitely far, and of the highest index.
             if gap_sq > reach_sq || (gap_sq == reach_sq && least_index >= search.index_at_reach()) {
                 continue;
             }
@@ -272,14 +298,16 @@ impl Blocks {
             }
             let node = &self.nodes[child as usize];
             let gaps_sq = node.gaps_sq(&low, &high);
-            let n_lanes = if node.is_pile && search.takes_piles_for_one() { 1 } else { WIDTH };
+            let mut lanes = lanes_within(&gaps_sq, &[reach_sq; WIDTH]);
+            if node.is_pile && search.takes_piles_for_one() {
+                lanes &= 1;
+            }
             let first = n_waiting;
             let mut nearest = (f64::INFINITY, first);
-            for lane in 0..n_lanes {
+            while lanes != 0 {
+                let lane = lanes.trailing_zeros() as usize;
+                lanes &= lanes - 1;
                 let gap_sq = gaps_sq[lane];
-                if gap_sq > reach_sq || node.least_index[lane] == u32::MAX {
-                    continue;
-                }
                 if gap_sq < nearest.0 {
                     nearest = (gap_sq, n_waiting);
                 }
@@ -307,12 +335,13 @@ mod tests {
     #[test]
     fn every_box_holds_what_is_below_it() {
         let mut stream = Stream::new(1, "blocks", 0);
-        let points: Vec<Point> = (0..5003)
-            .map(|_| [0; 3].map(|_| stream.normal()))
-            .collect();
+        let points: Vec<Point> = (0..5003).map(|_| [0; 3].map(|_| stream.normal())).collect();
         let tree = Blocks::new(&into_blocks(&points));
         assert_eq!(tree.entries().count(), points.len());
-        assert!(tree.entries().all(|(point, i)| point == points[i as usize]));
+        assert!(
+            tree.entries()
+                .all(|entry| entry.point == points[entry.index as usize])
+        );
         for node in &tree.nodes {
             for lane in (0..WIDTH).filter(|lane| node.least_index[*lane] != u32::MAX) {
                 let child = node.first_child as usize + lane;

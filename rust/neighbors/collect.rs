@@ -137,11 +137,12 @@ impl Collector for Nearest {
     }
 }
 
-/// The nearest point, and how far the second nearest is.
+/// The nearest point, and if wanted how far the second nearest is.
 #[derive(Clone, Copy)]
 pub(super) struct NearestTwo {
     best: Held,
     second_sq: f64,
+    wants_second: bool,
 }
 
 impl NearestTwo {
@@ -151,26 +152,47 @@ impl NearestTwo {
         Self {
             best: Held::nobody(most_sq),
             second_sq: most_sq,
+            wants_second: true,
         }
     }
 
-    /// The nearest, and the squared distance below which there is no other.
+    /// The nearest alone.
+    #[inline]
+    pub(super) fn alone_within(most_sq: f64) -> Self {
+        Self {
+            wants_second: false,
+            ..Self::within(most_sq)
+        }
+    }
+
+    /// The nearest, and a squared distance below which there is no other.
     #[inline]
     pub(super) fn found(&self) -> (Option<Held>, f64) {
         let found = (self.best.index != u32::MAX).then_some(self.best);
-        (found, self.second_sq)
+        (
+            found,
+            if self.wants_second {
+                self.second_sq
+            } else {
+                self.best.distance_sq
+            },
+        )
     }
 }
 
 impl Collector for NearestTwo {
     #[inline(always)]
     fn reach_sq(&self) -> f64 {
-        self.second_sq
+        if self.wants_second {
+            self.second_sq
+        } else {
+            self.best.distance_sq
+        }
     }
 
     #[inline(always)]
     fn index_at_reach(&self) -> u32 {
-        if self.best.distance_sq == self.second_sq {
+        if self.best.distance_sq == self.reach_sq() {
             self.best.index
         } else {
             0
@@ -180,10 +202,10 @@ impl Collector for NearestTwo {
     #[inline(always)]
     fn take(&mut self, place: &Point, block: &Block, number: usize) -> bool {
         let distances_sq = block.distances_sq(place);
-        if least(&distances_sq) > self.second_sq {
+        let before = self.reach_sq();
+        if least(&distances_sq) > before {
             return false;
         }
-        let before = self.second_sq;
         for lane in 0..WIDTH {
             let found = Held::new(distances_sq[lane], block, number, lane);
             if found.comes_before(&self.best) {
@@ -193,7 +215,7 @@ impl Collector for NearestTwo {
                 self.second_sq = found.distance_sq;
             }
         }
-        self.second_sq < before
+        self.reach_sq() < before
     }
 }
 
@@ -234,15 +256,15 @@ pub(super) struct KNearest {
     reach_sq: f64,
     index_at_reach: u32,
     /// The k nearest so far, and others seen since the reach was last drawn in.
-    found: Vec<Held>,
+    pub(super) found: Vec<Held>,
 }
 
 impl KNearest {
-    /// Begins anew, in the same memory.
+    /// Begins anew, in the same memory, among the points whose squared distance is at most `most_sq`.
     #[inline]
-    pub(super) fn restart(&mut self, k: usize) {
+    pub(super) fn restart(&mut self, k: usize, most_sq: f64) {
         self.k = k;
-        self.reach_sq = if k == 0 { -1.0 } else { f64::MAX };
+        self.reach_sq = if k == 0 { -1.0 } else { most_sq.min(f64::MAX) };
         self.index_at_reach = u32::MAX;
         self.found.clear();
     }
@@ -260,18 +282,24 @@ impl KNearest {
         }
     }
 
-    /// What was found.
+    /// Whether there were as many as asked for.
     #[inline]
-    pub(super) fn finish(&mut self) -> &mut Vec<Held> {
+    pub(super) fn is_complete(&self) -> bool {
+        self.found.len() >= self.k
+    }
+
+    /// Leaves no more than was asked for.
+    #[inline]
+    pub(super) fn finish(&mut self) {
         if self.k > 0 {
             self.draw_in();
         }
-        &mut self.found
     }
 
     /// What was found, by rising distance, then index.
     pub(super) fn finish_in_order(&mut self) -> &[Held] {
-        self.finish().sort_unstable_by(Held::order);
+        self.finish();
+        self.found.sort_unstable_by(Held::order);
         &self.found
     }
 }
@@ -292,11 +320,16 @@ impl Collector for KNearest {
         let distances_sq = block.distances_sq(place);
         for lane in 0..WIDTH {
             if distances_sq[lane] <= self.reach_sq {
-                self.found.push(Held::new(distances_sq[lane], block, number, lane));
+                self.found
+                    .push(Held::new(distances_sq[lane], block, number, lane));
             }
         }
         // Not for every point: drawing in costs as much as looking at two or three blocks.
-        let most = if self.reach_sq == f64::MAX { self.k } else { 2 * self.k };
+        let most = if self.reach_sq == f64::MAX {
+            self.k
+        } else {
+            2 * self.k
+        };
         let is_full = self.found.len() >= most;
         if is_full {
             self.draw_in();
@@ -338,7 +371,8 @@ impl Collector for Within {
         let distances_sq = block.distances_sq(place);
         for lane in 0..WIDTH {
             if distances_sq[lane] <= self.radius_sq {
-                self.found.push(Held::new(distances_sq[lane], block, number, lane));
+                self.found
+                    .push(Held::new(distances_sq[lane], block, number, lane));
             }
         }
         false
@@ -372,7 +406,11 @@ impl Count {
 impl Collector for Count {
     #[inline(always)]
     fn reach_sq(&self) -> f64 {
-        if self.n_left > 0 { self.radius_sq } else { -1.0 }
+        if self.n_left > 0 {
+            self.radius_sq
+        } else {
+            -1.0
+        }
     }
 
     #[inline(always)]

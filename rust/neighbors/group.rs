@@ -3,9 +3,11 @@
 //! Why: eight neighbours would open nearly the same boxes one after the other. Together they open each
 //! box once, and those of them that it does not concern are told by one vector of distances.
 
-use super::blocks::{Block, Blocks, Node, Search, WIDTH, greater, smaller, sum_of_squares};
+use super::blocks::{
+    Block, Blocks, Node, Search, WIDTH, greater, lanes_within, smaller, sum_of_squares,
+};
 use super::collect::Collector;
-use super::sort::into_blocks;
+use super::sort::{Entry, into_blocks};
 use crate::cloud::Point;
 use crate::error::Result;
 use crate::parallel;
@@ -29,7 +31,11 @@ impl<'a, C: Collector, const K: usize> Group<'a, C, K> {
             reach_sq: std::array::from_fn(|lane| {
                 // Nothing is near a place that is not a number.
                 let is_finite = places[lane].iter().all(|v| v.is_finite());
-                if is_finite { collectors[lane].reach_sq() } else { -1.0 }
+                if is_finite {
+                    collectors[lane].reach_sq()
+                } else {
+                    -1.0
+                }
             }),
             collectors,
             farthest_reach_sq: 0.0,
@@ -75,15 +81,15 @@ impl<C: Collector, const K: usize> Search for Group<'_, C, K> {
                 gaps[axis][lane] = greater(greater(low[axis] - place, place - high[axis]), 0.0);
             }
         }
-        let gaps_sq = sum_of_squares(&gaps);
+        let mut lanes = lanes_within(&sum_of_squares(&gaps), &self.reach_sq);
         let mut changed = false;
-        for lane in 0..K {
-            if gaps_sq[lane] <= self.reach_sq[lane] {
-                let collector = &mut self.collectors[lane];
-                if collector.take(&self.places[lane], block, number) {
-                    self.reach_sq[lane] = collector.reach_sq();
-                    changed = true;
-                }
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            let collector = &mut self.collectors[lane];
+            if collector.take(&self.places[lane], block, number) {
+                self.reach_sq[lane] = collector.reach_sq();
+                changed = true;
             }
         }
         if changed {
@@ -127,7 +133,9 @@ impl Blocks {
             for first in range.clone().step_by(WIDTH) {
                 let some = first..range.end.min(first + WIDTH);
                 let mut group = [[f64::NAN; 3]; WIDTH];
-                group[..some.len()].copy_from_slice(&places.points[some.clone()]);
+                for (place, entry) in group.iter_mut().zip(&places.entries[some.clone()]) {
+                    *place = entry.point;
+                }
                 for (collector, at) in collectors.iter_mut().zip(some.clone()) {
                     begin(&mut scratch, collector, at);
                 }
@@ -154,8 +162,9 @@ pub(crate) fn map_places<S, T: Copy + Send + Sync>(
     let places = Places::new(places);
     let chunks = parallel::chunks(places.len(), progress, |range| {
         let mut scratch = scratch();
-        let given = places.given[range].iter();
-        given.map(|at| f(&mut scratch, *at as usize)).collect::<Vec<T>>()
+        range
+            .map(|at| f(&mut scratch, places.given(at)))
+            .collect::<Vec<T>>()
     })?;
     Ok(places.in_given_order(&chunks))
 }
@@ -163,60 +172,61 @@ pub(crate) fn map_places<S, T: Copy + Send + Sync>(
 /// Places to ask about, in an order in which eight that follow each other lie close together.
 #[derive(Debug, Clone)]
 pub struct Places {
-    points: Vec<Point>,
-    /// Where each was given.
-    given: Vec<u32>,
+    entries: Vec<Entry>,
 }
 
 impl Places {
     /// Sorts a copy of `points`.
     pub fn new(points: &[Point]) -> Self {
-        let entries = into_blocks(points);
         Self {
-            points: entries.iter().map(|entry| entry.point).collect(),
-            given: entries.iter().map(|entry| entry.index).collect(),
+            entries: into_blocks(points),
         }
     }
 
     /// The points of a tree, which are sorted already.
     pub(super) fn of(tree: &Blocks) -> Self {
-        let (points, given) = tree.entries().unzip();
-        Self { points, given }
+        Self {
+            entries: tree.entries().collect(),
+        }
     }
 
     /// The same places, moved.
     pub fn moved(mut self, to: impl Fn(&Point) -> Point + Sync + Send) -> Self {
-        parallel::for_each_chunk(&mut self.points, parallel::CHUNK, |_, points| {
-            points.iter_mut().for_each(|point| *point = to(point));
+        parallel::for_each_chunk(&mut self.entries, parallel::CHUNK, |_, entries| {
+            entries
+                .iter_mut()
+                .for_each(|entry| entry.point = to(&entry.point));
         });
         self
     }
 
     /// Number of places.
     pub fn len(&self) -> usize {
-        self.points.len()
+        self.entries.len()
     }
 
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
-        self.points.is_empty()
+        self.entries.is_empty()
     }
 
-    /// The places in their order here.
-    pub(crate) fn points(&self) -> &[Point] {
-        &self.points
+    /// Place number `at` of the order here.
+    #[inline]
+    pub(crate) fn point(&self, at: usize) -> &Point {
+        &self.entries[at].point
     }
 
-    /// For each of them where it was given.
-    pub(crate) fn given(&self) -> &[u32] {
-        &self.given
+    /// Where place number `at` was given.
+    #[inline]
+    pub(crate) fn given(&self, at: usize) -> usize {
+        self.entries[at].index as usize
     }
 
     /// Results, in chunks, in the order in which the places were given.
     fn in_given_order<T: Copy + Send + Sync>(&self, chunks: &[Vec<T>]) -> Vec<T> {
-        let mut rank = vec![0_u32; self.given.len()];
-        for (at, &given) in (0_u32..).zip(&self.given) {
-            rank[given as usize] = at;
+        let mut rank = vec![0_u32; self.len()];
+        for (at, entry) in (0_u32..).zip(&self.entries) {
+            rank[entry.index as usize] = at;
         }
         parallel::map(rank.len(), |given| {
             let at = rank[given] as usize;
@@ -234,9 +244,7 @@ mod tests {
     #[test]
     fn results_come_back_in_the_order_of_the_places() {
         let mut stream = Stream::new(1, "group", 0);
-        let mut points: Vec<Point> = (0..9001)
-            .map(|_| [0; 3].map(|_| stream.normal()))
-            .collect();
+        let mut points: Vec<Point> = (0..9001).map(|_| [0; 3].map(|_| stream.normal())).collect();
         let tree = Blocks::new(&into_blocks(&points));
         points[17] = [f64::NAN; 3];
         let found = tree
@@ -259,7 +267,12 @@ mod tests {
         let tree = Blocks::new(&into_blocks(&points));
         let up = |p: &Point| [p[0], p[1], p[2] + 1.0];
         let (sorted, own) = (Places::new(&points).moved(up), Places::of(&tree).moved(up));
-        assert_eq!((&sorted.points, &sorted.given), (&own.points, &own.given));
-        assert!(sorted.points.iter().zip(&sorted.given).all(|(p, i)| *p == up(&points[*i as usize])));
+        for at in 0..points.len() {
+            assert_eq!(
+                (sorted.point(at), sorted.given(at)),
+                (own.point(at), own.given(at))
+            );
+            assert_eq!(*sorted.point(at), up(&points[sorted.given(at)]));
+        }
     }
 }

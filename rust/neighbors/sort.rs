@@ -7,12 +7,15 @@
 //! Deviates: a split falls so that every block but the last is full, and that a part of 8ⁿ blocks is
 //! a subtree: the tree needs no pointers.
 
-use super::blocks::WIDTH;
+use super::blocks::{WIDTH, greater, smaller};
 use crate::cloud::Point;
 use crate::parallel;
 
 /// Parts of at least so many points are sorted side by side.
 const PARALLEL_POINTS: usize = 8192;
+
+/// So many points tell along which axis a part is widest.
+const LOOKED_AT: usize = 128;
 
 /// A point on its way to its place in the order.
 #[derive(Debug, Clone, Copy)]
@@ -34,11 +37,11 @@ pub(super) fn into_blocks(points: &[Point]) -> Vec<Entry> {
 
 fn split(entries: &mut [Entry]) {
     let n_blocks = entries.len().div_ceil(WIDTH);
-    let (low, high) = bounds(entries);
-    let side = |axis: usize| high[axis] - low[axis];
-    let wider = |a, b| if side(b) > side(a) { b } else { a };
-    let axis = wider(wider(0, 1), 2);
-    if n_blocks <= 1 || side(axis) == 0.0 {
+    let (mut axis, mut side) = widest(entries, entries.len().div_ceil(LOOKED_AT));
+    if side == 0.0 {
+        (axis, side) = widest(entries, 1);
+    }
+    if n_blocks <= 1 || side == 0.0 {
         entries.sort_unstable_by_key(|entry| entry.index);
         return;
     }
@@ -56,17 +59,21 @@ fn split(entries: &mut [Entry]) {
     }
 }
 
-fn bounds(entries: &[Entry]) -> (Point, Point) {
+/// The axis along which every `step`-th point differs most, and by how much.
+fn widest(entries: &[Entry], step: usize) -> (usize, f64) {
     let mut low = [f64::INFINITY; 3];
     let mut high = [f64::NEG_INFINITY; 3];
-    for entry in entries {
+    for entry in entries.iter().step_by(step.max(1)) {
         for axis in 0..3 {
             let v = entry.point[axis];
-            low[axis] = if v < low[axis] { v } else { low[axis] };
-            high[axis] = if v > high[axis] { v } else { high[axis] };
+            low[axis] = smaller(v, low[axis]);
+            high[axis] = greater(v, high[axis]);
         }
     }
-    (low, high)
+    let side = |axis: usize| high[axis] - low[axis];
+    let wider = |a, b| if side(b) > side(a) { b } else { a };
+    let axis = wider(wider(0, 1), 2);
+    (axis, side(axis))
 }
 
 #[cfg(test)]
@@ -94,10 +101,7 @@ mod tests {
         }
         assert!(seen.iter().all(|seen| *seen));
         // Five thousand boxes in a unit cube: sides of about 0.06.
-        let longest = entries.chunks(WIDTH).map(|block| {
-            let (low, high) = bounds(block);
-            (0..3).fold(0.0, |longest: f64, axis| longest.max(high[axis] - low[axis]))
-        });
+        let longest = entries.chunks(WIDTH).map(|block| widest(block, 1).1);
         assert!(longest.sum::<f64>() / 5001.0 < 0.07);
     }
 
