@@ -10,7 +10,7 @@
 
 use crate::cloud::Point;
 use crate::error::Result;
-use crate::neighbors::{NeighborIndex, Places};
+use crate::neighbors::NeighborIndex;
 use crate::parallel::CHUNK;
 use crate::progress::Progress;
 
@@ -32,7 +32,7 @@ pub fn nearest_distances(
     to: &NeighborIndex,
     progress: &Progress<'_>,
 ) -> Result<Vec<f64>> {
-    to.distances_to(&Places::new(from), progress)
+    to.distances_to(&to.places_to_ask(from), progress)
 }
 
 /// Distances summed up, in metres.
