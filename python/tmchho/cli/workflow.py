@@ -155,13 +155,18 @@ def _register(job: Job, source: PointCloud, target: PointCloud, shown: Display) 
         shown.note(f"{cloud.name}: {len(cloud):,} points take part in finding the pose")
     found = register(*clouds, config=job.settings, progress=shown.on_event)
     measured = evaluate(source, target, found, tolerance=found.max_distance)
+    # There are points, or there were no pose.
+    forth, back = measured.source_to_target_statistics, measured.target_to_source_statistics
+    assert forth is not None
+    assert back is not None
     assert measured.share_within is not None
+    overlaps = [share or 0.0 for share in measured.share_within]
     return replace(
         found,
-        source_to_target=measured.source_to_target_statistics,
-        target_to_source=measured.target_to_source_statistics,
-        overlap_of_source=measured.share_within[0],
-        overlap_of_target=measured.share_within[1],
+        source_to_target=forth,
+        target_to_source=back,
+        overlap_of_source=overlaps[0],
+        overlap_of_target=overlaps[1],
     )
 
 
