@@ -39,15 +39,16 @@ from tmchho.errors import (
     TmchhoError,
     WriteError,
 )
+from tmchho.evaluation import Area, AreaStatistics, Evaluation, evaluate, read_areas
 from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike
 from tmchho.io import read, write
 from tmchho.observations import ControlPoint, Observations, PosePrior, read_control_points
 from tmchho.optimize import minimize
 from tmchho.optimizer import MinimizeResult, Optimizer
-from tmchho.pipeline import evaluate, fuse, register
+from tmchho.pipeline import fuse, register
 from tmchho.progress import ProgressEvent
-from tmchho.results import Candidate, DistanceStatistics, Evaluation, Registration, StageRecord
+from tmchho.results import Candidate, DistanceStatistics, Registration, StageRecord
 from tmchho.stages import (
     IcpResult,
     OutlierResult,
@@ -62,6 +63,8 @@ from tmchho.stages import (
 )
 
 __all__ = [
+    "Area",
+    "AreaStatistics",
     "BenchmarkFunction",
     "BenchmarkProblem",
     "BudgetError",
@@ -117,6 +120,7 @@ __all__ = [
     "minimize",
     "nearest_distances",
     "read",
+    "read_areas",
     "read_control_points",
     "register",
     "remove_outliers",

@@ -17,6 +17,7 @@ __all__ = [
     "chaotic_sequence",
     "complete_config",
     "default_config",
+    "distance_statistics",
     "estimate_normals",
     "euler_to_matrix",
     "evaluate",
@@ -33,6 +34,7 @@ __all__ = [
     "register",
     "remove_outliers",
     "rms_fitness",
+    "spacing_quantile",
     "voxel_downsample",
 ]
 
@@ -51,6 +53,8 @@ def register(
 def evaluate(
     source: _Floats, target: _Floats, transformation: _Floats, tolerance: float | None
 ) -> dict[str, Any]: ...
+def distance_statistics(distances: _Floats) -> dict[str, Any] | None: ...
+def spacing_quantile(array: _Floats, quantile: float) -> float: ...
 def fuse(source: _Floats, target: _Floats, transformation: _Floats, options_json: str) -> dict[str, Any]: ...
 def remove_outliers(array: _Floats, options_json: str) -> dict[str, Any]: ...
 def voxel_downsample(array: _Floats, voxel_size: float) -> dict[str, Any]: ...

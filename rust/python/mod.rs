@@ -7,6 +7,7 @@
 
 mod arrays;
 mod config;
+mod distances;
 mod errors;
 mod optim;
 mod registration;
@@ -35,6 +36,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(stages::median_spacing, module)?)?;
     module.add_function(wrap_pyfunction!(stages::euler_to_matrix, module)?)?;
     module.add_function(wrap_pyfunction!(stages::matrix_to_euler, module)?)?;
+    module.add_function(wrap_pyfunction!(distances::distance_statistics, module)?)?;
+    module.add_function(wrap_pyfunction!(distances::spacing_quantile, module)?)?;
     module.add_function(wrap_pyfunction!(optim::minimize, module)?)?;
     module.add_function(wrap_pyfunction!(optim::benchmark_functions, module)?)?;
     module.add_function(wrap_pyfunction!(optim::methods, module)?)?;

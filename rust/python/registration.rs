@@ -94,7 +94,7 @@ fn registration(py: Python<'_>, found: Registration) -> PyResult<Bound<'_, PyDic
     })
 }
 
-fn statistics<'py>(
+pub(super) fn statistics<'py>(
     py: Python<'py>,
     statistics: &DistanceStatistics,
 ) -> PyResult<Bound<'py, PyDict>> {

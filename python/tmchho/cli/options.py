@@ -53,3 +53,19 @@ def positive(_context: click.Context, _option: click.Parameter, value: float | N
     if value is not None and not (math.isfinite(value) and value > 0):
         raise click.BadParameter(f"must be a number above 0, got {value:g}")
     return value
+
+
+areas_option = click.option(
+    "--areas",
+    type=PATH,
+    metavar="FILE",
+    help="Polygons by which distances are summed up: GeoJSON, WKT, or what pyogrio reads (shapefile, …).  "
+    "[default: five strips along the overlap]",
+)
+tolerance_option = click.option(
+    "--tolerance",
+    type=float,
+    callback=positive,
+    metavar="LENGTH",
+    help="Also tell the share of points whose distance does not exceed this.",
+)

@@ -15,12 +15,14 @@ from tmchho.cli.display import display
 from tmchho.cli.failures import EXIT_CODES, NOT_ACCEPTED, debug_option
 from tmchho.cli.options import (
     PATH,
+    areas_option,
     corners,
     json_option,
     output_option,
     overwrite_option,
     positive,
     quiet_option,
+    tolerance_option,
 )
 
 if TYPE_CHECKING:
@@ -56,6 +58,8 @@ _REPLAYED = (
     "max_seconds",
     "voxel_size",
     "fuse",
+    "areas",
+    "tolerance",
 )
 
 
@@ -138,6 +142,8 @@ _REPLAYED = (
     type=click.Choice(["merge", "fill-holes"]),
     help="Take all points of the source (merge, default), or only those that fill holes of the target.",
 )
+@areas_option
+@tolerance_option
 @json_option
 @quiet_option
 @overwrite_option
@@ -162,7 +168,10 @@ def register(
     replayed = {f"--{name.replace('_', '-')}": _word(options[name]) for name in _REPLAYED}
     command = replay_command(source, target, replayed)
     with display(quiet) as shown:
-        outcome = run(Job(source, target, output, settings, command, overwrite), shown)
+        job = Job(
+            source, target, output, settings, command, overwrite, options["areas"], options["tolerance"]
+        )
+        outcome = run(job, shown)
     if as_json:
         from tmchho.outputs import json_text
 

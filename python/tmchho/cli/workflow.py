@@ -33,6 +33,10 @@ class Job:
         Command line that gives the same result again.
     overwrite : bool
         Replace results of an earlier run.
+    areas : Path, optional
+        Polygons by which distances are summed up; five strips along the overlap where not given.
+    tolerance : float, optional
+        Distance within which points are counted.
     """
 
     source: Path
@@ -41,6 +45,8 @@ class Job:
     settings: Config
     command: str
     overwrite: bool = False
+    areas: Path | None = None
+    tolerance: float | None = None
 
 
 @dataclass(frozen=True)
@@ -79,13 +85,15 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
     TmchhoError
         As its class says; no file was written then.
     """
-    from tmchho import fuse, register
+    from tmchho import fuse, read_areas, register
+    from tmchho.evaluation import distance_entries
     from tmchho.outputs import InputFile, check_folder, result_document
 
     paths = (job.source, job.target)
     check_folder(job.folder, overwrite=job.overwrite, inputs=paths)
     source, target = (_read(path, shown) for path in paths)
     _compare_crs(source, target, shown)
+    areas = None if job.areas is None else read_areas(job.areas, target.crs)
     with shown.step("read", "taking checksums"):
         files = (InputFile.of(job.source, len(source)), InputFile.of(job.target, len(target)))
     with shown.step("register"):
@@ -101,6 +109,9 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
                 source, target, registration, mode=options["mode"], hole_radius=options["hole_radius_m"]
             )
     document = result_document(registration, *files, fused, job.command)
+    if fused is not None:
+        with shown.step("evaluate", "summing up by area"):
+            document |= distance_entries(registration, source, target, fused, areas, job.tolerance)
     if remarks is not None:
         document |= remarks(source, registration)
     with shown.step("write", "writing"):
