@@ -58,8 +58,8 @@ def read_areas(path: str | os.PathLike[str], crs: str | None = None) -> tuple[Ar
     Returns
     -------
     tuple of Area
-        At least one, under distinct names: its ``name``, ``area``, ``label``, ``title`` or ``id`` in the file,
-        else its number.
+        At least one. What the file calls ``name``, ``area``, ``label``, ``title`` or ``id`` is its name, else
+        its number; names that come twice are numbered.
 
     Raises
     ------

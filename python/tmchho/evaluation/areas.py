@@ -293,7 +293,7 @@ def _completeness(
         at_y = np.minimum(((points[:, 1] - y_min) / cell).astype(np.intp), n_y - 1)
         found = np.zeros(n_x * n_y, dtype=bool)
         found[at_y * n_x + at_x] = True
-        return found & belongs
+        return np.asarray(found & belongs)
 
     # A cell on the rim belongs by its centre; a point in it may lie outside the outline.
     before = occupied(target[area.box_contains(target)])
