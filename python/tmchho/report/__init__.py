@@ -1,0 +1,10 @@
+"""The report of a registration, and the view of clouds: pages that need nothing else.
+
+Why: what a surveyor signs is one file that opens in any browser, with the verdict first.
+Reads: ``result.json`` and ``report_points.npz``, which a registration leaves.
+Absent on purpose: registration and distances; nothing is computed again.
+"""
+
+from tmchho.report.folder import FIGURES, REPORT, REPORT_PDF, REPORT_POINTS, write_report
+
+__all__ = ["FIGURES", "REPORT", "REPORT_PDF", "REPORT_POINTS", "write_report"]
