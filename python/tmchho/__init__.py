@@ -48,6 +48,7 @@ from tmchho.optimize import minimize
 from tmchho.optimizer import MinimizeResult, Optimizer
 from tmchho.pipeline import fuse, register
 from tmchho.progress import ProgressEvent
+from tmchho.report import write_report, write_view
 from tmchho.results import Candidate, DistanceStatistics, Registration, StageRecord
 from tmchho.stages import (
     IcpResult,
@@ -128,4 +129,6 @@ __all__ = [
     "simulate",
     "voxel_downsample",
     "write",
+    "write_report",
+    "write_view",
 ]

@@ -35,7 +35,10 @@ FUSED = "fused.laz"
 SOURCE_REGISTERED = "source_registered.laz"
 TRANSFORM = "transform.txt"
 RESULT = "result.json"
-OUTPUTS = (FUSED, SOURCE_REGISTERED, TRANSFORM, RESULT)
+REPORT_POINTS = "report_points.npz"
+OUTPUTS = (FUSED, SOURCE_REGISTERED, TRANSFORM, RESULT, REPORT_POINTS)
+# Made of the two before, by `tmchho.report`.
+REPORT, REPORT_PDF, FIGURES = "report.html", "report.pdf", "figures"
 
 StrPath = str | os.PathLike[str]
 _CHUNK_BYTES = 1 << 20

@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from tmchho import _core
 from tmchho.arguments import checked_array
 from tmchho.inputs import CloudLike, open_points
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Verdict: TypeAlias = Literal["accepted", "review", "rejected"]
 
@@ -369,6 +372,33 @@ class Registration(ReadOnlyArrays):
             + (", ended before the search was done" if self.ended_early else ""),
         ]
         return "\n".join(lines)
+
+    def plot(self, source: CloudLike | None = None, target: CloudLike | None = None) -> Figure:
+        """Draw how the search went or, given the clouds, how they lay before and lie now.
+
+        Parameters
+        ----------
+        source, target : CloudLike, optional
+            The clouds that were registered.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            It shows itself in a notebook; ``figure.savefig(path)`` keeps it.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If matplotlib or jinja2 is missing: ``pip install 'tmchho[report]'``.
+        """
+        from tmchho.report.notebook import plot_registration
+
+        return plot_registration(self, source, target)
+
+    def _repr_html_(self) -> str:
+        from tmchho.report.notebook import registration_html
+
+        return registration_html(self)
 
 
 def pose_matrix(transformation: Registration | ArrayLike | None) -> NDArray[np.float64]:

@@ -18,6 +18,9 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 quiet_option = click.option(
     "-q", "--quiet", is_flag=True, help="No progress and no notes, only warnings and errors."
 )
+report_option = click.option(
+    "--report/--no-report", default=True, help="Make report.html.  [default: report]"
+)
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run.")
 
 

@@ -22,6 +22,7 @@ from tmchho.cli.options import (
     overwrite_option,
     positive,
     quiet_option,
+    report_option,
     tolerance_option,
 )
 
@@ -144,6 +145,7 @@ _REPLAYED = (
 )
 @areas_option
 @tolerance_option
+@report_option
 @json_option
 @quiet_option
 @overwrite_option
@@ -159,8 +161,10 @@ def register(
       source_registered.laz  SOURCE in the frame of TARGET, with all its attributes
       transform.txt          the 4 x 4 matrix from SOURCE to TARGET, as CloudCompare reads it
       result.json            verdict, figures, settings and checksums
+      report.html            the same for people, with pictures and a 3D view
+      report_points.npz      the points that the report shows
 
-    Where the pose is rejected, only result.json is written.
+    Where the pose is rejected, only the last three are written.
     """  # noqa: D301 (\b is for click: keep these lines as they are)
     from tmchho.cli.workflow import Job, run
 
@@ -169,7 +173,15 @@ def register(
     command = replay_command(source, target, replayed)
     with display(quiet) as shown:
         job = Job(
-            source, target, output, settings, command, overwrite, options["areas"], options["tolerance"]
+            source,
+            target,
+            output,
+            settings,
+            command,
+            overwrite,
+            options["areas"],
+            options["tolerance"],
+            options["report"],
         )
         outcome = run(job, shown)
     if as_json:

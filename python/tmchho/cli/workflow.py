@@ -37,6 +37,8 @@ class Job:
         Polygons by which distances are summed up; five strips along the overlap where not given.
     tolerance : float, optional
         Distance within which points are counted.
+    has_report : bool
+        Also make ``report.html``.
     """
 
     source: Path
@@ -47,6 +49,7 @@ class Job:
     overwrite: bool = False
     areas: Path | None = None
     tolerance: float | None = None
+    has_report: bool = True
 
 
 @dataclass(frozen=True)
@@ -87,10 +90,11 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
     """
     from tmchho import fuse, read_areas, register
     from tmchho.evaluation import distance_entries
-    from tmchho.outputs import InputFile, check_folder, result_document
+    from tmchho.outputs import OUTPUTS, REPORT, InputFile, check_folder, result_document
+    from tmchho.report.described import describe
 
     paths = (job.source, job.target)
-    check_folder(job.folder, overwrite=job.overwrite, inputs=paths)
+    check_folder(job.folder, names=(*OUTPUTS, REPORT), overwrite=job.overwrite, inputs=paths)
     source, target = (_read(path, shown) for path in paths)
     _compare_crs(source, target, shown)
     areas = None if job.areas is None else read_areas(job.areas, target.crs)
@@ -109,6 +113,8 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
                 source, target, registration, mode=options["mode"], hole_radius=options["hole_radius_m"]
             )
     document = result_document(registration, *files, fused, job.command)
+    for side, cloud in (("source", source), ("target", target)):
+        document["inputs"][side] = {**document["inputs"][side], **describe(cloud, crs_name(cloud.crs))}
     if fused is not None:
         with shown.step("evaluate", "summing up by area"):
             document |= distance_entries(registration, source, target, fused, areas, job.tolerance)
@@ -116,6 +122,8 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
         document |= remarks(source, registration)
     with shown.step("write", "writing"):
         written = _write(job, registration, source, target, fused, document)
+    if job.has_report:
+        written += _report(job.folder, shown)
     return Outcome(registration, fused, document, written)
 
 
@@ -154,6 +162,9 @@ def _write(
     from tmchho.outputs import (
         FUSED,
         OUTPUTS,
+        REPORT,
+        REPORT_PDF,
+        REPORT_POINTS,
         RESULT,
         SOURCE_REGISTERED,
         TRANSFORM,
@@ -162,9 +173,12 @@ def _write(
         moved_source,
         write_together,
     )
+    from tmchho.report.points import points_of
 
     # Listed first, result.json appears last: where it is, the others are.
     files = {RESULT: lambda path: path.write_text(json_text(document), encoding="utf-8", newline="\n")}
+    points = points_of(registration, source, target, fused)
+    files[REPORT_POINTS] = points.save
     if fused is not None:
         merged = fused.to_point_cloud(source, target)
         moved = moved_source(registration, source, target)
@@ -176,7 +190,19 @@ def _write(
             FUSED: lambda path: write(merged, path, like=target),
         }
     write_together(job.folder, files, overwrite=job.overwrite, inputs=(job.source, job.target))
-    for name in set(OUTPUTS) - set(files):
+    for name in {*OUTPUTS, REPORT, REPORT_PDF} - set(files):
         # Left from an earlier run, it would be taken for the result of this one.
         (job.folder / name).unlink(missing_ok=True)
     return tuple(job.folder / name for name in OUTPUTS if name in files)
+
+
+def _report(folder: Path, shown: Display) -> tuple[Path, ...]:
+    """Make the report from what was just written; without the libraries for it, say so and go on."""
+    from tmchho.report import missing_extras, write_report
+
+    missing = missing_extras()
+    if missing is not None:
+        shown.note(f"{folder / 'report.html'} was not made: {missing}")
+        return ()
+    with shown.step("report", "making the report"):
+        return write_report(folder)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,9 @@ from tmchho.evaluation.area_files import read_areas
 from tmchho.evaluation.areas import Area, AreaStatistics, automatic_areas, measure_areas
 from tmchho.inputs import CloudLike, naming, open_cloud
 from tmchho.results import DistanceStatistics, ReadOnlyArrays, Registration, plain, pose_matrix
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 AreasLike: TypeAlias = Literal["automatic"] | str | os.PathLike[str] | Sequence[Area]
 """The word 'automatic', the path of a file that `read_areas` knows, or areas."""
@@ -66,6 +69,17 @@ class Evaluation(ReadOnlyArrays):
     spacing: tuple[float, float]
     areas: tuple[AreaStatistics, ...]
     warnings: tuple[str, ...]
+
+    def plot(self) -> Figure:
+        """Draw how the distances are spread; needs ``pip install 'tmchho[report]'``.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from tmchho.report.notebook import plot_evaluation
+
+        return plot_evaluation(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the distances of single points as what JSON knows."""

@@ -5,6 +5,8 @@ Reads: ``result.json`` and ``report_points.npz``, which a registration leaves.
 Absent on purpose: registration and distances; nothing is computed again.
 """
 
-from tmchho.report.folder import FIGURES, REPORT, REPORT_PDF, REPORT_POINTS, write_report
+from tmchho.report.folder import write_report
+from tmchho.report.template import missing_extras
+from tmchho.report.view import write_view
 
-__all__ = ["FIGURES", "REPORT", "REPORT_PDF", "REPORT_POINTS", "write_report"]
+__all__ = ["missing_extras", "write_report", "write_view"]

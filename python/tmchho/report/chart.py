@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from tmchho.report.colours import SOURCE, TARGET
@@ -64,10 +67,8 @@ class Chart:
 
     def svg(self) -> str:
         """Return the figure for a page: without the head of the file, in the colours of the page."""
-        import matplotlib
-
         stream = io.StringIO()
-        with matplotlib.rc_context(_STYLE | {"svg.hashsalt": self.name}):
+        with styled({"svg.hashsalt": self.name}):
             self.figure.savefig(
                 stream, format="svg", transparent=True, dpi=150, metadata={"Date": None, "Creator": None}
             )
@@ -85,31 +86,37 @@ class Chart:
 
     def png(self) -> bytes:
         """Return the figure as a picture on white."""
-        import matplotlib
-
         stream = io.BytesIO()
-        with matplotlib.rc_context(_STYLE):
+        with styled():
             # Without the library's name, whose version would change the bytes.
-            self.figure.savefig(
-                stream, format="png", dpi=160, facecolor="white", metadata={"Software": None}
-            )
+            self.figure.savefig(stream, format="png", dpi=160, facecolor="white", metadata={"Software": None})
         return stream.getvalue()
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure, in inches, that needs no display."""
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    """Return an empty figure, in inches, that needs no display and shows itself in a notebook."""
+    with styled():
+        return _figure_class()(figsize=(width, height), layout="constrained", facecolor="none")
+
+
+@cache
+def _figure_class() -> type[Figure]:
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained", facecolor="none")
-        FigureCanvasAgg(figure)
-    return figure
+    class NotebookFigure(Figure):
+        """A figure that a notebook shows, whether or not it was made by pyplot."""
+
+        def _repr_png_(self) -> bytes:
+            stream = io.BytesIO()
+            self.savefig(stream, format="png", dpi=110)
+            return stream.getvalue()
+
+    return NotebookFigure
 
 
-def styled() -> Any:
+def styled(further: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
     """Return the context in which a chart is drawn, so that no setting of the caller's shows in it."""
     import matplotlib
 
-    return matplotlib.rc_context(_STYLE)
+    settings: Any = {**_STYLE, **(further or {})}
+    return matplotlib.rc_context(settings)

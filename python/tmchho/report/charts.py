@@ -28,11 +28,14 @@ def distance_histogram(points: ReportPoints, high: float, unit: str) -> Chart | 
     with styled():
         figure = new_figure(_WIDTH, 2.7)
         panel = figure.subplots()
-        directions = (("source to target", points.is_source, SOURCE), ("target to source", ~points.is_source, TARGET))
+        directions = (
+            ("source to target", points.is_source, SOURCE),
+            ("target to source", ~points.is_source, TARGET),
+        )
         for words, side, colour in directions:
             values = points.distance[both & side]
             if len(values):
-                _steps(panel, values, (0.0, 1.5 * high), colour, f"{words}, {len(values):,} points")
+                draw_steps(panel, values, (0.0, 1.5 * high), colour, f"{words}, {len(values):,} points")
         panel.set_xlim(0, 1.5 * high)
         panel.set_xlabel(f"distance to the nearest point of the other cloud ({unit.strip()})")
         panel.set_ylabel("share of the points (%)")
@@ -70,12 +73,15 @@ def area_histograms(
     with styled():
         figure = new_figure(_WIDTH, 0.5 + 1.65 * rows)
         panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+        tops = []
         for panel, (name, part) in zip(panels, parts, strict=False):
-            _steps(panel, part, (low, float(high)), TARGET, None)
+            draw_steps(panel, part, (low, float(high)), TARGET, None)
             median = float(np.median(part))
             panel.axvline(median, color=INK, linewidth=0.8, linestyle="--")
-            panel.set_title(f"{name}: {len(part):,} points, median {median:.3g}{unit}", fontsize=8.5)
+            panel.set_title(f"{name}: median {median:.3g}{unit}", fontsize=8.5)
             panel.grid(True, axis="y")
+            tops.append(panel.get_ylim()[1])
+        panels[0].set_ylim(0, max(tops))
         for panel in panels[len(parts) :]:
             panel.set_axis_off()
         figure.supxlabel(f"{label} ({unit.strip()})", fontsize=9)
@@ -140,14 +146,16 @@ def candidates(document: Mapping[str, Any]) -> Chart | None:
     return Chart("candidates", "Poses that competed", caption, figure)
 
 
-def _steps(
+def draw_steps(
     panel: Axes, values: NDArray[Any], ends: tuple[float, float], colour: str, words: str | None
 ) -> None:
+    """Draw how values are spread between two ends, as shares of all of them."""
     counts, edges = np.histogram(values, bins=_N_BINS, range=ends)
     shares = 100 * counts / len(values)
     panel.stairs(shares, edges, color=colour, fill=True, alpha=0.22)
     panel.stairs(shares, edges, color=colour, linewidth=1.2, label=words)
-    panel.set_ylim(bottom=0)
+    highest = max(panel.get_ylim()[1] if len(panel.patches) > 2 else 0.0, 1.08 * float(shares.max()))
+    panel.set_ylim(0, highest or 1.0)
 
 
 def _whole_ticks(panel: Axes) -> None:

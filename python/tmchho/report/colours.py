@@ -1,4 +1,4 @@
-"""Colours of pictures, legends and the 3D view: one set, told apart also by people who see no red or green."""
+"""Colours of pictures, legends and the 3D view, told apart also by people who see no red or green."""
 
 from __future__ import annotations
 
@@ -19,7 +19,16 @@ RAMPS: dict[str, tuple[str, ...]] = {
 
 # Colours of further clouds in `tmchho view`.
 LAYERS = (TARGET, SOURCE, "#009e73", "#cc79a7", "#8a6d00", "#7f5fc7", "#5a6570", "#b0413e")
-LAYERS_ON_DARK = (TARGET_ON_DARK, SOURCE_ON_DARK, "#3fd3a5", "#eba3cd", "#f0d24a", "#b59cf2", "#b8c2cc", "#f28c86")
+LAYERS_ON_DARK = (
+    TARGET_ON_DARK,
+    SOURCE_ON_DARK,
+    "#3fd3a5",
+    "#eba3cd",
+    "#f0d24a",
+    "#b59cf2",
+    "#b8c2cc",
+    "#f28c86",
+)
 
 
 def colour_map(name: str) -> LinearSegmentedColormap:

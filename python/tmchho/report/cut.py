@@ -1,4 +1,4 @@
-"""A thin upright cut through both clouds, at full density: the picture in which people see whether a pose is right."""
+"""A thin upright cut through both clouds, at full density: in it people see whether a pose is right."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def cut_through(
     width = (high - low) / _N_PLACES
     middle[:2] += (low + (place + 0.5) * width) * across
     kept = [
-        _slab(cloud.xyz, moved, middle, across, width / 2)
-        for cloud, moved in zip(clouds, (move, np.asarray), strict=True)
+        _slab(cloud.xyz, to_target, middle, across, width / 2)
+        for cloud, to_target in zip(clouds, (move, _stay), strict=True)
     ]
     fewest = min(map(len, kept))
     if fewest < _LEAST:
@@ -88,6 +88,10 @@ def cut_through(
         parts.append(np.column_stack([(points[:, :2] - middle[:2]) @ along, points[:, 2] - middle[2]]))
     cut = np.concatenate(parts).astype(np.float32)
     return cut, np.arange(len(cut)) < len(parts[0]), thickness
+
+
+def _stay(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return points
 
 
 def _along(surface: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -46,7 +46,10 @@ def sensor_words(cloud: PointCloud) -> str | None:
     header = cloud.metadata.get("header")
     stated = [getattr(header, name, "") for name in ("system_identifier", "generating_software")]
     stated += [str(words) for words in (cloud.metadata.get("sensor"), *cloud.metadata.get("comments", ()))]
-    return "; ".join(dict.fromkeys(words.strip() for words in stated if words.strip() not in ("", "None"))) or None
+    return (
+        "; ".join(dict.fromkeys(words.strip() for words in stated if words.strip() not in ("", "None")))
+        or None
+    )
 
 
 def length_unit(wkt: str | None) -> str | None:
@@ -63,7 +66,7 @@ def length_unit(wkt: str | None) -> str | None:
     """
     signs = {1.0: "m", 0.3048: "ft", 0.3048006096: "ft (US)"}
     # The ellipsoid is in metres, whatever the coordinates are in.
-    text = re.sub(r'\b(?:ELLIPSOID|SPHEROID)\s*\[[^\]]*(?:\[[^\]]*\][^\]]*)*\]', "", wkt or "")
+    text = re.sub(r"\b(?:ELLIPSOID|SPHEROID)\s*\[[^\]]*(?:\[[^\]]*\][^\]]*)*\]", "", wkt or "")
     found = re.findall(r'\b(?:LENGTHUNIT|UNIT)\s*\[\s*"[^"]*"\s*,\s*([0-9.eE+-]+)', text)
     lengths = [signs[round(float(f), 10)] for f in found if round(float(f), 10) in signs]
     return lengths[0] if lengths else None

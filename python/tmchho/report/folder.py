@@ -11,13 +11,11 @@ from typing import Any
 
 from tmchho.errors import ReadError
 from tmchho.io import check_output
-from tmchho.outputs import RESULT, write_together
+from tmchho.outputs import FIGURES, REPORT, REPORT_PDF, REPORT_POINTS, RESULT, write_together
 from tmchho.report.browser import find_browser, print_to_pdf
 from tmchho.report.page import make_page
 from tmchho.report.points import ReportPoints
 from tmchho.report.template import require_extras
-
-REPORT, REPORT_PDF, REPORT_POINTS, FIGURES = "report.html", "report.pdf", "report_points.npz", "figures"
 
 
 def write_report(

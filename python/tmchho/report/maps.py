@@ -62,21 +62,14 @@ def cut_chart(points: ReportPoints, unit: str) -> Chart | None:
     Chart or None
         None where the clouds share too little for a cut.
     """
+    from matplotlib.patches import Rectangle
+
     cut, is_source = points.cut.astype(np.float64), points.cut_is_source
     if len(cut) == 0:
         return None
     cloud = np.column_stack([cut[:, 0], cut[:, 0], cut[:, 1]])
     low, high = limits_of(cloud, FRONT)
-    # Enlarged is the place along the cut where both clouds have most points.
-    n_bins = max(8, min(24, len(cut) // 1000))
-    which = np.floor((cut[:, 0] - low[0]) / (high[0] - low[0]) * n_bins).astype(int)
-    inside = (which >= 0) & (which < n_bins)
-    fewest = np.minimum(*(np.bincount(which[inside & side], minlength=n_bins) for side in (is_source, ~is_source)))
-    best = int(np.argmax(fewest))
-    left, right = low[0] + (high[0] - low[0]) / n_bins * np.array([best, best + 1])
-    floor, roof = np.percentile(cut[which == best, 1], [1, 99])
-    spare = 0.08 * (right - left) + max(0.0, 0.3 * (right - left) - (roof - floor)) / 2
-    near_low, near_high = np.array([left, floor - spare]), np.array([right, roof + spare])
+    near_low, near_high = _fullest_window(cut, is_source, low, high)
     heights = [min(0.7, _share_of_width(low, high)), min(0.7, _share_of_width(near_low, near_high))]
     with styled():
         figure = new_figure(_WIDTH, sum((_WIDTH - 0.6) * height for height in heights) + 1.5)
@@ -95,14 +88,37 @@ def cut_chart(points: ReportPoints, unit: str) -> Chart | None:
             panel.set_title(title)
             panel.set_ylabel(f"height ({unit.strip()})")
             panel.grid(True)
-        panels[0].axvspan(left, right, color=INK, alpha=0.08, lw=0)
+        panels[0].add_patch(
+            Rectangle(near_low, *(near_high - near_low), facecolor=INK, alpha=0.1, linewidth=0)
+        )
         panels[1].set_xlabel(f"along the cut ({unit.strip()})")
         _legend(figure, [("source", SOURCE), ("target", TARGET)])
     caption = (
-        f"All points of both clouds in an upright cut {points.cut_thickness:g}{unit} thick, seen from the side, "
-        "with equal scales. Where the position is right, the two colours lie on one line."
+        f"All points of both clouds in an upright cut {points.cut_thickness:g}{unit} thick, seen from the "
+        "side, with equal scales. Where the position is right, the two colours lie on one line."
     )
     return Chart("cut", "Cut through both clouds", caption, figure)
+
+
+def _fullest_window(
+    cut: NDArray[np.float64],
+    is_source: NDArray[np.bool_],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the corners of the window, twice as wide as high, where both clouds have most points."""
+    half = (high[0] - low[0]) / 20 * np.array([1.0, 0.5])
+    at = np.floor((cut - low) / half).astype(int)
+    shape = np.ceil((high - low) / half).astype(int) + 1
+    inside = ((at >= 0) & (at < shape)).all(axis=1)
+    counts = []
+    for side in (is_source, ~is_source):
+        cells = np.zeros(shape)
+        np.add.at(cells, tuple(at[inside & side].T), 1)
+        counts.append(cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:])
+    best = np.unravel_index(int(np.argmax(np.minimum(*counts))), counts[0].shape)
+    corner = low + np.array(best) * half
+    return corner, corner + 2 * half
 
 
 def value_map(
@@ -220,22 +236,16 @@ def _share_of_width(low: NDArray[np.float64], high: NDArray[np.float64]) -> floa
     return float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.12, 1.0))
 
 
-def _one_panel(
-    low: NDArray[np.float64], high: NDArray[np.float64], room: float
-) -> tuple[Figure, Axes]:
+def _one_panel(low: NDArray[np.float64], high: NDArray[np.float64], room: float) -> tuple[Figure, Axes]:
     figure = new_figure(_WIDTH, min(_WIDTH, (_WIDTH - 1.2) * _share_of_width(low, high)) + 0.75 + room)
     return figure, figure.subplots()
 
 
-def _axes(
-    panel: Axes, view: View, low: NDArray[np.float64], high: NDArray[np.float64], unit: str
-) -> None:
-    """Number the axes from round places near the corner: seven-digit labels hide the picture."""
+def _axes(panel: Axes, view: View, low: NDArray[np.float64], high: NDArray[np.float64], unit: str) -> None:
+    """Count along the axes from round places near the corner: seven-digit labels hide the picture."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-    for axis, name, start, end in zip(
-        (panel.xaxis, panel.yaxis), view.labels, low, high, strict=True
-    ):
+    for axis, name, start, end in zip((panel.xaxis, panel.yaxis), view.labels, low, high, strict=True):
         is_far = abs(start) > 20 * (end - start)
         unit_length = 10.0 ** math.ceil(math.log10(max(end - start, 1e-300)))
         base = math.floor(start / unit_length) * unit_length if is_far else 0.0
@@ -261,17 +271,4 @@ def _colour_bar(figure: Figure, panel: Axes, field: Field) -> None:
         mappable, ax=panel, orientation="horizontal", extend=extend, aspect=45, shrink=0.8, pad=0.02
     )
     bar.set_label(f"{field.label} ({field.unit.strip()})")
-    bar.outline.set_linewidth(0.0)  # type: ignore[operator]
-
-
-def _nice(value: float) -> float:
-    """Return the next of 1, 2, 5, 10, 20, … that is not below a value.
-
-    Examples
-    --------
-    >>> _nice(0.034), _nice(7.0), _nice(1.0)
-    (0.05, 10.0, 1.0)
-    """
-    power = 10.0 ** math.floor(math.log10(value)) if value > 0 else 1.0
-    step = next(step for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9))
-    return float(f"{step * power:.12g}")
+    bar.outline.set_linewidth(0.0)

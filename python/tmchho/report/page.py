@@ -11,6 +11,7 @@ import numpy as np
 from tmchho.report import charts, maps, words
 from tmchho.report.chart import Chart
 from tmchho.report.points import ReportPoints
+from tmchho.report.rounding import nice_ceiling
 from tmchho.report.scene import Field, angle_and_axis, report_scene
 from tmchho.report.template import render
 from tmchho.report.words import BLANK
@@ -57,9 +58,8 @@ def make_page(
     radius = hole_radius(document)
     fields = {} if points is None else _fields(points, document, unit)
     made = _charts(document, points, fields, unit, radius)
-    shown = {
-        name: chart and {**vars(chart), "svg": _markup(chart.svg())} for name, chart in made.items()
-    }
+    shown = {name: chart and {**vars(chart), "svg": _markup(chart.svg())} for name, chart in made.items()}
+    table_unit, table_factor = _table_unit(document, unit)
     distances = document.get("distances") or {}
     matrix = np.array(document["transformation"])
     turn_rad, _ = angle_and_axis(np.array(matrix[:3, :3]) / document["scale"])
@@ -83,7 +83,9 @@ def make_page(
         scene=None if points is None else report_scene(points, document, unit, fields),
         no_points=_NO_POINTS,
         legend_note=_legend_note(points, radius, unit),
-        statistics=_statistics(document),
+        statistics=_statistics(document, unit),
+        table_unit=table_unit,
+        table_factor=table_factor,
         tolerance=distances.get("tolerance"),
         spacing=distances.get("spacing"),
         areas=document.get("areas") or [],
@@ -122,21 +124,6 @@ def settings_lines(config: Mapping[str, Any], above: str = "") -> list[str]:
     return lines
 
 
-def nice_ceiling(value: float) -> float:
-    """Return a round number that is not below a value: the end of a legend.
-
-    Examples
-    --------
-    >>> nice_ceiling(0.349), nice_ceiling(1.9), nice_ceiling(0.0)
-    (0.35, 2.0, 1.0)
-    """
-    if not value > 0:
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(value))
-    steps = (1, 1.2, 1.5, 2, 2.5, 3, 3.5, 4, 5, 6, 8, 10)
-    return float(f"{next(step for step in steps if step * power >= value * (1 - 1e-9)) * power:.12g}")
-
-
 def _fields(points: ReportPoints, document: Mapping[str, Any], unit: str) -> dict[str, Field]:
     """Return the values that points are coloured by, under the names of their buttons."""
     has_counterpart = np.isfinite(points.distance) & ~points.fills_hole
@@ -173,8 +160,8 @@ def _charts(
         if distance is not None:
             areas = document.get("areas") or []
             caption = (
-                "Each place in the colour of the mean distance there to the nearest point of the other cloud, "
-                "both clouds together. Grey: no counterpart."
+                "Each place in the colour of the mean distance there to the nearest point of the other "
+                "cloud, both clouds together. Grey: no counterpart."
             )
             if areas:
                 caption += " Outlined: the areas."
@@ -193,14 +180,20 @@ def _charts(
     return made
 
 
-def _statistics(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _table_unit(document: Mapping[str, Any], unit: str) -> tuple[str, float]:
+    """Return in what the tables of distances are, and by what lengths are multiplied for it."""
+    typical = document[words.better_direction(document)]["median"]
+    return ("mm", 1000.0) if unit == f"{BLANK}m" and typical < 0.1 else (unit.strip(), 1.0)
+
+
+def _statistics(document: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
     """Return the rows of the table of distances: with a counterpart, where that was measured, and all."""
     distances = document.get("distances") or {}
     rows = []
     for direction in ("source_to_target", "target_to_source"):
         name = direction.replace("_", " ").capitalize()
         if direction in distances:
-            radius = words.number(distances["max_distance"])
+            radius = words.length(distances["max_distance"], unit)
             rows.append({"words": f"{name}, counterpart within {radius}", **distances[direction]})
         rows.append({"words": f"{name}, all points", **document[direction]})
     return rows
@@ -219,7 +212,10 @@ def _unit(document: Mapping[str, Any]) -> tuple[str, str]:
     """Return the sign of the unit of lengths with its blank, and where it comes from."""
     stated = document["inputs"]["target"].get("unit")
     if stated is not None:
-        return f"{BLANK}{stated}", f"Lengths are in {stated}, the unit of the target's coordinate reference system."
+        return (
+            f"{BLANK}{stated}",
+            f"Lengths are in {stated}, the unit of the target's coordinate reference system.",
+        )
     return f"{BLANK}m", (
         "The target does not state its unit. Lengths are shown as metres, which is what scanners and most "
         "programs write; where the clouds are in another unit, read that instead."

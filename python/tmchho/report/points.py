@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 # Of both clouds together; 300 000 points are 4 MB in the page, and any phone turns them.
 MAX_POINTS = 300_000
 N_STEPS = 65_535
+NO_COLOUR = 150  # grey
 _COLOURS = ("red", "green", "blue")
 
 
@@ -102,8 +103,7 @@ class ReportPoints:
         except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise ReadError(f"{path}: does not hold the points of a report; register once more") from error
         return cls(
-            **values
-            | {"n_target": int(values["n_target"]), "cut_thickness": float(values["cut_thickness"])}
+            **values | {"n_target": int(values["n_target"]), "cut_thickness": float(values["cut_thickness"])}
         )
 
 
@@ -216,22 +216,34 @@ def quantised(
     return origin, step, np.rint((xyz - origin) / step).astype(np.uint16)
 
 
-def colour_of(
+def colour_of(attributes: Mapping[str, NDArray[Any]], rows: NDArray[np.intp]) -> NDArray[np.uint8] | None:
+    """Return the colours of some rows, the intensity as grey where there are none, None without either."""
+    grey = _grey_of_intensity(attributes, rows)
+    if not all(name in attributes for name in _COLOURS):
+        return grey
+    values = np.stack([np.asarray(attributes[name])[rows] for name in _COLOURS], axis=1)
+    if values.dtype.kind not in "ui" or not values.any():
+        return grey
+    # 16-bit colours use the upper byte, though some programs write 8-bit values into them.
+    colour = np.asarray((values >> 8 if values.max() > 255 else values).astype(np.uint8))
+    # Black is what a fused cloud has where the one cloud had no colour.
+    is_black = ~values.any(axis=1)
+    colour[is_black] = NO_COLOUR if grey is None else grey[is_black]
+    return colour
+
+
+def _grey_of_intensity(
     attributes: Mapping[str, NDArray[Any]], rows: NDArray[np.intp]
 ) -> NDArray[np.uint8] | None:
-    """Return the colours of some rows, the intensity as grey where there are none, None without either."""
-    if all(name in attributes for name in _COLOURS):
-        values = np.stack([np.asarray(attributes[name])[rows] for name in _COLOURS], axis=1)
-        if values.dtype.kind in "ui" and values.any():
-            # 16-bit colours use the upper byte, though some programs write 8-bit values into them.
-            return np.asarray((values >> 8 if values.max() > 255 else values).astype(np.uint8))
-    if "intensity" in attributes and len(rows):
-        values = np.asarray(attributes["intensity"])[rows].astype(np.float64)
-        low, high = np.nanpercentile(values, [2, 98]) if np.isfinite(values).any() else (0.0, 0.0)
-        if high > low:
-            grey = np.nan_to_num(np.clip((values - low) / (high - low), 0, 1)) * 205 + 40
-            return np.repeat(grey.astype(np.uint8)[:, None], 3, axis=1)
-    return None
+    if "intensity" not in attributes or len(rows) == 0:
+        return None
+    values = np.asarray(attributes["intensity"])[rows].astype(np.float64)
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, [2, 98]) if len(known) else (0.0, 0.0)
+    if not high > low:
+        return None
+    grey = np.nan_to_num(np.clip((values - low) / (high - low), 0, 1)) * 205 + 40
+    return np.repeat(grey.astype(np.uint8)[:, None], 3, axis=1)
 
 
 def joined_colours(colours: list[NDArray[np.uint8] | None], counts: list[int]) -> NDArray[np.uint8]:
@@ -240,7 +252,7 @@ def joined_colours(colours: list[NDArray[np.uint8] | None], counts: list[int]) -
         return np.empty((0, 3), dtype=np.uint8)
     return np.concatenate(
         [
-            np.full((count, 3), 150, dtype=np.uint8) if colour is None else colour
+            np.full((count, 3), NO_COLOUR, dtype=np.uint8) if colour is None else colour
             for colour, count in zip(colours, counts, strict=True)
         ]
     )

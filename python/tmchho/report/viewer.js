@@ -33,6 +33,7 @@ function startViewer(root) {
   const { step, layers, modes } = scene;
   const size = step.map((s) => s * 65535);
   const middle = size.map((s) => s / 2);
+  const placeOf = (i) => [0, 1, 2].map((k) => positions[3 * i + k] * step[k] - middle[k]);
   const radius = Math.max(Math.hypot(...size) / 2, 1e-9);
 
   // ---- matrices: 16 numbers, column by column
@@ -71,10 +72,20 @@ function startViewer(root) {
       0, 0, 2 * far * near / (near - far), 0]);
     return { matrix: multiply(lens, look), near, far };
   };
+  /* Moves back until nearly all points are seen from the present direction, and puts them into the middle. */
   const fit = () => {
-    const aspect = Math.min(1, canvas.width / Math.max(canvas.height, 1));
-    camera.at = [...scene.look_at];
-    camera.away = 0.8 * scene.reach / Math.sin(FIELD / 2) / aspect;
+    const { back, right, up } = axes(), n = positions.length / 3, every = Math.max(1, Math.floor(n / 3000));
+    const high = Math.tan(FIELD / 2), wide = high * canvas.width / Math.max(canvas.height, 1);
+    const seen = [];
+    for (let i = 0; i < n; i += every) {
+      const p = placeOf(i).map((v, k) => v - scene.look_at[k]);
+      if (Math.hypot(...p) <= 1.3 * scene.reach) seen.push([dot(right, p), dot(up, p), dot(back, p)]);
+    }
+    const ends = [0, 1].map((k) => seen.reduce(([a, b], p) => [Math.min(a, p[k]), Math.max(b, p[k])], [Infinity, -Infinity]));
+    const [cx, cy] = ends.map(([a, b]) => (a + b) / 2);
+    camera.at = scene.look_at.map((v, k) => v + cx * right[k] + cy * up[k]);
+    const needed = seen.map(([x, y, z]) => z + Math.max(Math.abs(x - cx) / wide, Math.abs(y - cy) / high));
+    camera.away = 1.06 * Math.max(...needed, 1e-6 * radius);
   };
 
   // ---- programs: points into a texture with their depths, then that texture with edges darkened by depth
@@ -283,7 +294,6 @@ function startViewer(root) {
 
   const decimals = Math.max(0, Math.min(6, Math.ceil(-Math.log10(Math.max(...step)))));
   let picks = [];
-  const placeOf = (i) => [0, 1, 2].map((k) => positions[3 * i + k] * step[k] - middle[k]);
   const project = (local) => {
     const [x, y, , w] = apply(last.matrix, local);
     return [(x / w + 1) / 2 * canvas.clientWidth, (1 - y / w) / 2 * canvas.clientHeight, w];
@@ -332,9 +342,10 @@ function startViewer(root) {
   const clearPicks = () => { picks = []; status.textContent = ""; redraw(); };
   const showPicks = () => {
     const at = picks.map((p) => project(apply(poseOf(p.layer), placeOf(p.i))));
-    const line = at.length === 2 ? `<line x1="${at[0][0]}" y1="${at[0][1]}" x2="${at[1][0]}" y2="${at[1][1]}"/>` : "";
-    overlay.innerHTML = line + at.map(([x, y], i) =>
-      `<circle cx="${x}" cy="${y}" r="5"/><text x="${x + 9}" y="${y - 7}">${"AB"[i]}</text>`).join("");
+    const line = at.length === 2 ? `<path d="M${at.map(([x, y]) => `${x} ${y}`).join("L")}"/>` : "";
+    const rings = at.map(([x, y]) => `<circle cx="${x}" cy="${y}" r="5"/>`).join("");
+    const names = at.map(([x, y], i) => `<text x="${x + 9}" y="${y - 7}">${"AB"[i]}</text>`).join("");
+    overlay.innerHTML = `<g class="halo">${line}${rings}</g><g>${line}${rings}</g>${names}`;
   };
 
   // ---- moving about

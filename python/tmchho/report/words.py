@@ -41,7 +41,7 @@ STAGES = {
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many significant digits, in full: people do not read exponents.
+    r"""Return a number with so many significant digits, in full: people do not read exponents.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def length(value: float | None, unit: str, digits: int = 3) -> str:
-    """Return a length with its unit; below a tenth of a metre in millimetres.
+    r"""Return a length with its unit; below a tenth of a metre in millimetres.
 
     Examples
     --------
@@ -74,7 +74,7 @@ def length(value: float | None, unit: str, digits: int = 3) -> str:
 
 
 def percent(value: float | None) -> str:
-    """Return a share as people say it.
+    r"""Return a share as people say it.
 
     Examples
     --------
@@ -120,8 +120,8 @@ def key_figures(document: Mapping[str, Any], unit: str) -> list[dict[str, str]]:
         {
             "name": "Accuracy of the position",
             "value": length(document["registration_error"], unit, 2),
-            "words": "By so much a point may typically be displaced because of the errors of the position (1σ). "
-            "Errors that both clouds share, such as a wrong scale bar, do not show in it.",
+            "words": "By so much a point may typically be displaced because of the errors of the position "
+            "(1σ). Errors that both clouds share, such as a wrong scale bar, do not show in it.",
         },
         {
             "name": "Fit of the surfaces",
@@ -233,10 +233,7 @@ def stage_rows(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _check(
     name: str, words: str, value: float | None, limit: float, say: Any, most: bool = False
 ) -> dict[str, Any]:
-    if value is None:
-        passed = None
-    else:
-        passed = value <= limit if most else value >= limit
+    passed = None if value is None else value <= limit if most else value >= limit
     side = "at most" if most else "at least"
     return {
         "name": name,
