@@ -58,8 +58,8 @@ def write_report(
     require_extras()
     folder = Path(folder)
     browser = find_browser(required=bool(pdf)) if pdf in (True, None) else None
-    check_output(folder / REPORT, overwrite)
     document = read_result(folder)
+    check_output(folder / REPORT, overwrite)
     points = folder / REPORT_POINTS
     stored = ReportPoints.load(points) if points.exists() else None
     page, charts = make_page(document, stored, _day(folder / RESULT))

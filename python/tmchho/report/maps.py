@@ -89,7 +89,7 @@ def cut_chart(points: ReportPoints, unit: str) -> Chart | None:
             panel.set_ylabel(f"height ({unit.strip()})")
             panel.grid(True)
         panels[0].add_patch(
-            Rectangle(near_low, *(near_high - near_low), facecolor=INK, alpha=0.1, linewidth=0)
+            Rectangle(tuple(near_low), *(near_high - near_low), facecolor=INK, alpha=0.1, linewidth=0)
         )
         panels[1].set_xlabel(f"along the cut ({unit.strip()})")
         _legend(figure, [("source", SOURCE), ("target", TARGET)])

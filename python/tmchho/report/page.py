@@ -66,7 +66,7 @@ def make_page(
     page = render(
         "report.html.jinja",
         has_viewer=points is not None,
-        document={"truth": None, **document},
+        document={"truth": None, "fused": None, **document},
         date=date,
         unit=unit,
         unit_note=unit_note,
