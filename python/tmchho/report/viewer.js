@@ -227,9 +227,10 @@ function startViewer(root) {
     const style = getComputedStyle(root), dark = style.getPropertyValue("--is-dark").trim() === "1";
     const mode = chosen(), field = mode.field === undefined ? null : scene.fields[mode.field];
     const { matrix, near, far } = (last = viewMatrix());
-    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+    const ground = rgb(dark ? "#0f1317" : "#fbfbfa"), hasEdges = share > 0.5;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, hasEdges ? frame : null);
     gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clearColor(0, 0, 0, 0);
+    gl.clearColor(...ground, hasEdges ? 0 : 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
     gl.useProgram(points.program);
@@ -248,7 +249,7 @@ function startViewer(root) {
     gl.uniform1i(u.only, mode.only || 0);
     gl.uniform1i(u.bit, mode.bit || 0);
     gl.uniform1f(u.least, 1.6 * ratio * Math.max(wish, 0.6));
-    gl.uniform1f(u.most, 14 * ratio * wish);
+    gl.uniform1f(u.most, (hasEdges ? 14 : 5) * ratio * wish);
     gl.uniform1f(u.height, size[2]);
     gl.uniform3fv(u.marked, rgb(scene.marked));
     gl.uniform3fv(u.faint, rgb(dark ? "#5d6670" : "#b4bac1"));
@@ -257,9 +258,14 @@ function startViewer(root) {
     for (const layer of shownLayers()) {
       gl.uniform3fv(u.own, rgb(dark ? layer.colour_on_dark : layer.colour));
       gl.uniformMatrix4fv(u.pose, false, poseOf(layer));
-      gl.uniform1f(u.pixels, wish * layer.spacing * canvas.height / (2 * Math.tan(FIELD / 2)) / Math.sqrt(share));
+      gl.uniform1f(u.pixels, wish * layer.spacing * canvas.height / (2 * Math.tan(FIELD / 2)) * Math.min(1.5, 1 / Math.sqrt(share)));
       gl.drawArrays(gl.POINTS, layer.first, Math.ceil(layer.count * share));
     }
+    if (hasEdges) darkenEdges(near, far, ratio, ground);
+    showPicks();
+    return performance.now() - began;
+  };
+  const darkenEdges = (near, far, ratio, ground) => {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.disable(gl.DEPTH_TEST);
     gl.useProgram(edges.program);
@@ -272,21 +278,20 @@ function startViewer(root) {
     gl.activeTexture(gl.TEXTURE0);
     gl.uniform2f(edges.uniform.lens, near, far);
     gl.uniform1i(edges.uniform.reach, Math.max(1, Math.round(ratio)));
-    gl.uniform3fv(edges.uniform.ground, rgb(dark ? "#0f1317" : "#fbfbfa"));
+    gl.uniform3fv(edges.uniform.ground, ground);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    showPicks();
-    return performance.now() - began;
   };
   const redraw = () => { waiting = waiting || requestAnimationFrame(draw); };
 
-  // While something moves, as many points are drawn as the machine manages; all of them once it rests.
-  let rest = 0, lastMove = 0;
+  // While something moves, as much is drawn as the machine manages; all of it once it rests.
+  let rest = 0, lastMove = 0, manageable = 1;
   const moving = () => {
-    const now = performance.now(), apart = now - lastMove;
-    if (apart < 400) share = Math.min(1, Math.max(0.08, share * Math.min(1.2, Math.max(0.7, 33 / Math.max(apart, 1)))));
+    const now = performance.now(), apart = Math.max(1, now - lastMove);
+    if (apart < 1500) manageable = Math.min(1, Math.max(0.05, manageable * Math.min(1.15, Math.max(0.5, 33 / apart))));
+    share = manageable;
     lastMove = now;
     clearTimeout(rest);
-    rest = setTimeout(() => { share = 1; lastMove = 0; redraw(); }, 180);
+    rest = setTimeout(() => { share = 1; redraw(); }, 200);
     redraw();
   };
 
