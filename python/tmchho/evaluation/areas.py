@@ -25,6 +25,8 @@ N_AUTOMATIC_AREAS = 5
 FEW_POINTS = 30
 # Cells in which completeness is counted; a large area gets larger cells.
 _MOST_CELLS = 1 << 20
+# Automatic areas differ by about one part in as many.
+_CELLS_PER_AREA, _MOST_HALVINGS = 20, 8
 
 Floats = NDArray[np.float64]
 Outline = tuple[tuple[tuple[tuple[float, float], ...], ...], ...]
@@ -168,7 +170,7 @@ def automatic_areas(overlap: Floats, cell: float, n_areas: int = N_AUTOMATIC_ARE
     overlap : (n, 2) or (n, 3) float64 array
         Points of the overlap. Each occupied cell counts once, so that a place full of points is no larger.
     cell : float
-        Edge of the cells, above 0.
+        Edge of the cells, above 0; halved where the overlap has few of them.
     n_areas : int, default 5
         At least 1.
 
@@ -176,14 +178,20 @@ def automatic_areas(overlap: Floats, cell: float, n_areas: int = N_AUTOMATIC_ARE
     -------
     tuple of Area
         Rectangles called "area 1", … from west to east (from south to north on an axis nearer to that); none
-        where the overlap has fewer cells than there are to be areas.
+        where the overlap has fewer places than there are to be areas.
     """
     cell = checked_number("cell", cell)
     n_areas = checked_count("n_areas", n_areas, 1)
     if len(overlap) == 0:
         return ()
     origin = overlap[:, :2].min(axis=0)
-    cells = np.unique(np.floor((overlap[:, :2] - origin) / cell), axis=0)
+    local = overlap[:, :2] - origin
+    cells = np.unique(np.floor(local / cell), axis=0)
+    for _ in range(_MOST_HALVINGS):  # a small overlap is cut finely enough for even areas
+        if len(cells) >= _CELLS_PER_AREA * n_areas:
+            break
+        cell /= 2
+        cells = np.unique(np.floor(local / cell), axis=0)
     if len(cells) < n_areas:
         return ()
     centres = (cells + 0.5) * cell
