@@ -172,13 +172,12 @@ mod tests {
 
     const SLOPE: [f64; 2] = [0.3, -0.2];
 
-    fn slope(n: usize, stream: &mut Stream) -> Vec<Point> {
-        (0..n)
-            .map(|_| {
-                let (x, y) = (
-                    stream.uniform_between(0.0, 9.0),
-                    stream.uniform_between(0.0, 9.0),
-                );
+    /// A grid of 30 by 30, each point shaken by a third of the spacing.
+    fn slope(stream: &mut Stream) -> Vec<Point> {
+        (0..900)
+            .map(|i| {
+                let mut at = |cell: i32| 0.3 * f64::from(cell) + 0.1 * stream.uniform();
+                let (x, y) = (at(i % 30), at(i / 30));
                 [x, y, 4.0 + SLOPE[0] * x + SLOPE[1] * y]
             })
             .collect()
@@ -192,8 +191,8 @@ mod tests {
     #[test]
     fn a_slope_lifted_by_a_known_height() {
         let mut stream = Stream::new(1, "surface", 0);
-        let to = slope(900, &mut stream);
-        let from: Vec<Point> = slope(200, &mut stream)
+        let to = slope(&mut stream);
+        let from: Vec<Point> = slope(&mut stream)
             .iter()
             .map(|p| std::array::from_fn(|axis| 4.5 + 0.8 * (p[axis] - 4.5)))
             .map(|p: Point| [p[0], p[1], 4.0 + SLOPE[0] * p[0] + SLOPE[1] * p[1] - 0.35])
@@ -215,7 +214,7 @@ mod tests {
     #[test]
     fn a_plane_ends_where_its_points_end() {
         let mut stream = Stream::new(2, "surface", 0);
-        let to = slope(900, &mut stream);
+        let to = slope(&mut stream);
         let beyond = [[14.0, 4.0, 4.0 + 0.3 * 14.0 - 0.2 * 4.0 + 0.1]];
         assert!(measured(&beyond, &to, DistanceMethod::Normal)[0].is_nan());
         assert!(measured(&beyond, &to, DistanceMethod::Vertical)[0].is_nan());

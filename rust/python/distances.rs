@@ -110,6 +110,7 @@ pub(super) fn m3c2<'py>(
             "normal_radius": each(|c| c.normal_radius_m),
             "distance": each(|c| c.distance_m),
             "level_of_detection": each(|c| c.level_of_detection_m),
+            "significant_from": each(|c| c.significant_from_m),
             "target_spread": each(|c| c.spread_m.0),
             "source_spread": each(|c| c.spread_m.1),
             "n_target": count(|c| c.n_points.0),
@@ -119,6 +120,7 @@ pub(super) fn m3c2<'py>(
             "normal_radii": scales.normal_radii_m,
             "cylinder_radius": scales.cylinder_radius_m,
             "max_depth": scales.max_depth_m,
+            "min_points": options.min_points,
         })
     })
 }

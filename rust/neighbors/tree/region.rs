@@ -55,7 +55,7 @@ struct Cylinder<'a, F> {
     found: F,
 }
 
-impl<F: FnMut(f64)> Region for Cylinder<'_, F> {
+impl<F: FnMut(f64, Point)> Region for Cylinder<'_, F> {
     #[inline]
     fn may_meet(&self, low: &Point, high: &Point) -> bool {
         let half: Point = std::array::from_fn(|axis| 0.5 * (high[axis] - low[axis]));
@@ -87,7 +87,7 @@ impl<F: FnMut(f64)> Region for Cylinder<'_, F> {
         if along.abs() <= self.half_length_m
             && dot(&offset, &offset) - along * along <= self.radius_m * self.radius_m
         {
-            (self.found)(along);
+            (self.found)(along, offset);
         }
     }
 }
@@ -109,16 +109,16 @@ impl NeighborIndex {
         });
     }
 
-    /// Calls `found` with the place along `axis` (a unit vector), seen from `centre`, of every point
-    /// of a cylinder round it: at most `radius_m` from the axis, at most `half_length_m` to either
-    /// side.
+    /// Calls `found` with the place along `axis` (a unit vector) and the offset, both seen from
+    /// `centre`, of every point of a cylinder round it: at most `radius_m` from the axis, at most
+    /// `half_length_m` to either side.
     pub(crate) fn each_in_cylinder(
         &self,
         centre: &Point,
         axis: &Point,
         radius_m: f64,
         half_length_m: f64,
-        found: impl FnMut(f64),
+        found: impl FnMut(f64, Point),
     ) {
         self.tree.visit(&mut Cylinder {
             centre,
@@ -212,7 +212,7 @@ mod tests {
             assert!((sum - wanted.sum::<f64>()).abs() < 1e-9);
 
             let (mut got, mut sum) = (0, 0.0);
-            index.each_in_cylinder(&centre, &axis, radius, half, |along| {
+            index.each_in_cylinder(&centre, &axis, radius, half, |along, _| {
                 got += 1;
                 sum += along;
             });
