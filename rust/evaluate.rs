@@ -5,8 +5,14 @@
 //! point, and the numbers that sum them up.
 //! Source: Ren, Zhao & Han (2023), Sec. 5.3, Table 7: cloud-to-cloud distances, their average,
 //! best, worst and standard deviation.  Deviates: root mean square, median and 95 % percentile are
-//! given besides.
+//! given besides, and distances to the surface between the points (`evaluate/surface.rs`).
 //! Absent on purpose: survey areas and tolerances, which the caller chooses.
+
+mod compare;
+mod surface;
+
+pub use compare::{CompareOptions, Comparison, Direction, compare};
+pub use surface::{DistanceMethod, surface_distances};
 
 use crate::cloud::Point;
 use crate::error::Result;

@@ -34,6 +34,7 @@ pub mod fitness;
 pub mod fuse;
 pub mod icp;
 pub mod keypoints;
+pub mod m3c2;
 pub mod outlier;
 pub mod verdict;
 pub mod voxel;

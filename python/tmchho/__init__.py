@@ -39,7 +39,7 @@ from tmchho.errors import (
     TmchhoError,
     WriteError,
 )
-from tmchho.evaluation import Area, AreaStatistics, Evaluation, evaluate, read_areas
+from tmchho.evaluation import Area, AreaStatistics, Change, Evaluation, evaluate, m3c2, read_areas
 from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike
 from tmchho.io import read, write
@@ -70,6 +70,7 @@ __all__ = [
     "BenchmarkProblem",
     "BudgetError",
     "Candidate",
+    "Change",
     "CloudLike",
     "Config",
     "ControlPoint",
@@ -116,6 +117,7 @@ __all__ = [
     "iss_keypoints",
     "kabsch",
     "levy_steps",
+    "m3c2",
     "matrix_to_euler",
     "median_spacing",
     "minimize",

@@ -26,6 +26,7 @@ __all__ = [
     "iss_keypoints",
     "kabsch",
     "levy_steps",
+    "m3c2",
     "matrix_to_euler",
     "median_spacing",
     "methods",
@@ -34,7 +35,6 @@ __all__ = [
     "register",
     "remove_outliers",
     "rms_fitness",
-    "spacing_quantile",
     "voxel_downsample",
 ]
 
@@ -51,10 +51,12 @@ def register(
     progress: Callable[[str, int, int, float | None, bool], object] | None,
 ) -> dict[str, Any]: ...
 def evaluate(
-    source: _Floats, target: _Floats, transformation: _Floats, tolerance: float | None
+    source: _Floats, target: _Floats, transformation: _Floats, options_json: str
+) -> dict[str, Any]: ...
+def m3c2(
+    source: _Floats, target: _Floats, transformation: _Floats, cores: _Floats | None, options_json: str
 ) -> dict[str, Any]: ...
 def distance_statistics(distances: _Floats) -> dict[str, Any] | None: ...
-def spacing_quantile(array: _Floats, quantile: float) -> float: ...
 def fuse(source: _Floats, target: _Floats, transformation: _Floats, options_json: str) -> dict[str, Any]: ...
 def remove_outliers(array: _Floats, options_json: str) -> dict[str, Any]: ...
 def voxel_downsample(array: _Floats, voxel_size: float) -> dict[str, Any]: ...

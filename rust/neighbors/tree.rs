@@ -4,6 +4,8 @@
 //! (1993), the distance to a box kept up to date axis by axis on the way down.
 //! Deviates: coincident points stay together in one pile, whatever their number.
 
+mod region;
+
 use super::collect::Collector;
 use crate::cloud::{Point, distance_sq};
 use crate::parallel;

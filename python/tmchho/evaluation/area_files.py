@@ -28,7 +28,7 @@ _GEOJSON = (".geojson", ".json")
 _WKT = (".wkt", ".txt", ".csv")
 _NAME_KEYS = ("name", "area", "label", "title", "id")
 _WKT_LINE = re.compile(
-    r"""^\s*(?:"?(?P<name>[^";\t]*?)"?\s*[;\t]\s*)?(?:SRID=(?P<srid>\d+)\s*;\s*)?
+    r"""^\s*(?:(?!SRID=)"?(?P<name>[^";\t]*?)"?\s*[;\t]\s*)?(?:SRID=(?P<srid>\d+)\s*;\s*)?
         "?(?P<wkt>(?:MULTI)?POLYGON\b[^"]*)"?\s*$""",
     re.IGNORECASE | re.VERBOSE,
 )

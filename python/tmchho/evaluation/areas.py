@@ -25,6 +25,8 @@ N_AUTOMATIC_AREAS = 5
 FEW_POINTS = 30
 # Cells in which completeness is counted; a large area gets larger cells.
 _MOST_CELLS = 1 << 20
+# Automatic areas differ by about one part in as many.
+_CELLS_PER_AREA, _MOST_HALVINGS = 20, 8
 
 Floats = NDArray[np.float64]
 Outline = tuple[tuple[tuple[tuple[float, float], ...], ...], ...]
@@ -126,11 +128,13 @@ class AreaStatistics:
     name : str
         Of the area.
     n_points : int
-        Points of the source that were measured there.
+        Points of the source, or cores, that were measured there.
     mean, best, worst, std, rms, median, percentile_95 : float or None
         As in `DistanceStatistics`.
     share_within : float or None
         Share of them whose distance does not exceed the tolerance; None without a tolerance.
+    share_significant : float or None
+        Share of them with a significant change; None unless measured by M3C2.
     n_beyond : int
         Further points there that have no counterpart: farther away than the largest distance that counts, or
         without a distance.
@@ -153,6 +157,7 @@ class AreaStatistics:
     median: float | None
     percentile_95: float | None
     share_within: float | None
+    share_significant: float | None
     n_beyond: int
     completeness_before: float | None
     completeness_after: float | None
@@ -168,7 +173,7 @@ def automatic_areas(overlap: Floats, cell: float, n_areas: int = N_AUTOMATIC_ARE
     overlap : (n, 2) or (n, 3) float64 array
         Points of the overlap. Each occupied cell counts once, so that a place full of points is no larger.
     cell : float
-        Edge of the cells, above 0.
+        Edge of the cells, above 0; halved where the overlap has few of them.
     n_areas : int, default 5
         At least 1.
 
@@ -176,14 +181,20 @@ def automatic_areas(overlap: Floats, cell: float, n_areas: int = N_AUTOMATIC_ARE
     -------
     tuple of Area
         Rectangles called "area 1", … from west to east (from south to north on an axis nearer to that); none
-        where the overlap has fewer cells than there are to be areas.
+        where the overlap has fewer places than there are to be areas.
     """
     cell = checked_number("cell", cell)
     n_areas = checked_count("n_areas", n_areas, 1)
     if len(overlap) == 0:
         return ()
     origin = overlap[:, :2].min(axis=0)
-    cells = np.unique(np.floor((overlap[:, :2] - origin) / cell), axis=0)
+    local = overlap[:, :2] - origin
+    cells = np.unique(np.floor(local / cell), axis=0)
+    for _ in range(_MOST_HALVINGS):  # a small overlap is cut finely enough for even areas
+        if len(cells) >= _CELLS_PER_AREA * n_areas:
+            break
+        cell /= 2
+        cells = np.unique(np.floor(local / cell), axis=0)
     if len(cells) < n_areas:
         return ()
     centres = (cells + 0.5) * cell
@@ -218,6 +229,8 @@ def measure_areas(
     cell: float,
     tolerance: float | None = None,
     max_distance: float | None = None,
+    significant: NDArray[np.bool_] | None = None,
+    other: Floats | None = None,
 ) -> tuple[AreaStatistics, ...]:
     """Sum up the distances of the points in each area.
 
@@ -226,7 +239,7 @@ def measure_areas(
     areas : sequence of Area
         In target coordinates.
     points : (n, 3) float64 array
-        Source points in target coordinates.
+        Source points, or cores, in target coordinates.
     distances : (n,) float64 array
         Of these points, perhaps signed; NaN where there is none.
     target : (m, 3) float64 array
@@ -238,6 +251,10 @@ def measure_areas(
         For `share_within`.
     max_distance : float, optional
         Points farther away have no counterpart: they are counted apart. All are measured where not given.
+    significant : (n,) bool array, optional
+        Whether the change at these points is.
+    other : (k, 3) float64 array, optional
+        Points that make the target complete, in target coordinates; `points` where not given.
 
     Returns
     -------
@@ -245,6 +262,7 @@ def measure_areas(
         One for each area, in their order, also where there is no data.
     """
     counts = np.isfinite(distances)
+    other = points if other is None else other
     if max_distance is not None:
         counts &= np.abs(distances) <= max_distance
     rows = []
@@ -252,7 +270,7 @@ def measure_areas(
         inside = area.contains(points)
         measured = distances[inside & counts]
         summed_up = DistanceStatistics.of(measured)
-        before, after = _completeness(area, target, points[inside], cell)
+        before, after = _completeness(area, target, other[area.contains(other)], cell)
         few = "no data" if summed_up is None else f"fewer than {FEW_POINTS} points"
         shared: dict[str, Any] = {
             name: None if summed_up is None else getattr(summed_up, name)
@@ -265,6 +283,11 @@ def measure_areas(
                 n_points=len(measured),
                 **shared,
                 share_within=None if tolerance is None or summed_up is None else float(within.mean()),
+                share_significant=(
+                    None
+                    if significant is None or summed_up is None
+                    else float(significant[inside & counts].mean())
+                ),
                 n_beyond=int(np.count_nonzero(inside)) - len(measured),
                 completeness_before=before,
                 completeness_after=after,

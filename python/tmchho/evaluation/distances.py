@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tmchho import _core
-from tmchho.arguments import checked_number
+from tmchho.arguments import checked_choice, checked_count, checked_number
+from tmchho.config import options_json
 from tmchho.errors import InvalidArgumentError
 from tmchho.evaluation.area_files import read_areas
 from tmchho.evaluation.areas import Area, AreaStatistics, automatic_areas, measure_areas
@@ -24,9 +25,13 @@ if TYPE_CHECKING:
 AreasLike: TypeAlias = Literal["automatic"] | str | os.PathLike[str] | Sequence[Area]
 """The word 'automatic', the path of a file that `read_areas` knows, or areas."""
 
+DistanceMethod: TypeAlias = Literal["nearest", "plane", "normal", "vertical"]
+_METHODS = ("nearest", "plane", "normal", "vertical")
+SIGNED = ("normal", "vertical")
+
 # As for fusion: a place farther than so many spacings, of those that nine points in ten of the sparser
 # cloud keep to, is a hole.
-_HOLE_IN_SPACINGS, _SPACING_QUANTILE = 3.0, 0.9
+_HOLE_IN_SPACINGS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,29 +40,33 @@ class Evaluation(ReadOnlyArrays):
 
     Parameters
     ----------
+    method : {'nearest', 'plane', 'normal', 'vertical'}
+        What was measured; see `evaluate`.
     source_to_target : (n,) float64 array
         Distance from each source point to the target, in the order of the rows given; NaN for rows with a
-        coordinate that is not finite.
+        coordinate that is not finite, and where the method has none. Of signed methods, positive where the
+        point lies above the other cloud.
     target_to_source : (m,) float64 array
         The other way round.
     source_to_target_statistics, target_to_source_statistics : DistanceStatistics or None
         Both summed up, over the points that were measured; None where there is none.
     n_beyond : tuple of int
         Finite points of the source and of the target that were not measured, because they have no
-        counterpart within `max_distance`.
+        counterpart: none within `max_distance`, or no surface below or above them.
     share_within : tuple of float, or None
         Shares of the source and of the target points measured whose distance does not exceed `tolerance`.
     tolerance, max_distance : float or None
         As asked for.
     spacing : tuple of float
-        Median distance from a point to the nearest of its own cloud, of source and target, in the unit of
-        the target.
+        Median distance from a point of the source, and of the target, to the nearest of its own cloud, at
+        the points that the other cloud was measured to; in the unit of the target.
     areas : tuple of AreaStatistics
         From source to target, by area; empty unless asked for.
     warnings : tuple of str
         What the figures do not tell, in sentences; see `docs/evaluation.md`.
     """
 
+    method: DistanceMethod
     source_to_target: NDArray[np.float64]
     target_to_source: NDArray[np.float64]
     source_to_target_statistics: DistanceStatistics | None
@@ -97,6 +106,7 @@ class Evaluation(ReadOnlyArrays):
         }
         values: dict[str, Any] = plain(
             {
+                "method": self.method,
                 "tolerance": self.tolerance,
                 "max_distance": self.max_distance,
                 **directions,
@@ -113,11 +123,13 @@ def evaluate(
     target: CloudLike,
     transformation: Registration | ArrayLike | None = None,
     *,
+    method: DistanceMethod | None = None,
+    n_neighbors: int | None = None,
     tolerance: float | None = None,
     max_distance: float | None = None,
     areas: AreasLike | None = None,
 ) -> Evaluation:
-    """Measure the distance from each point of one cloud to the nearest of the other, both ways.
+    """Measure the distance from each point of one cloud to the other, both ways.
 
     Parameters
     ----------
@@ -126,8 +138,15 @@ def evaluate(
     transformation : Registration or (4, 4) array_like, optional
         Takes source to target coordinates; may contain a scale. Where not given, the clouds are measured as
         they lie. All distances are in the unit of the target.
+    method : {'nearest', 'plane', 'normal', 'vertical'}, optional
+        To the nearest point (where not given); to the plane through the points round it, or to that point
+        where this is nearer or the plane ends; signed along the upward normal of this plane; signed along z,
+        to a plane through the points nearest in plan. Signed distances are positive above the other cloud,
+        and NaN where the surface ends.
+    n_neighbors : int, optional
+        How many points a plane goes through, at least 3; 16 where not given.
     tolerance : float, optional
-        Also count the points whose distance does not exceed this.
+        Also count the points whose distance, to either side, does not exceed this.
     max_distance : float, optional
         Points farther away have no counterpart: they are counted apart and not summed up. All are where not
         given.
@@ -148,7 +167,8 @@ def evaluate(
 
     Notes
     -----
-    Ren, Zhao & Han (2023), Section 5.3, Table 7.
+    Ren, Zhao & Han (2023), Section 5.3, Table 7, for ``'nearest'``. `docs/evaluation.md` tells of each method
+    what it is taken from and when it misleads. See `m3c2` for change with a level of detection.
 
     Examples
     --------
@@ -159,21 +179,20 @@ def evaluate(
     for name, value in (("tolerance", tolerance), ("max_distance", max_distance)):
         if value is not None and checked_number(name, value) < 0:
             raise InvalidArgumentError(f"{name} must be at least 0, got {value}")
-    source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
-    given_areas = _given_areas(areas, target_cloud.crs)
-    with naming(source_cloud, target_cloud):
-        found = _core.evaluate(source_cloud.xyz, target_cloud.xyz, matrix, None)
-    forth, back = found["source_to_target"][0], found["target_to_source"][0]
-    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-    clouds = ((source_cloud.xyz, scale), (target_cloud.xyz, 1.0))
-    median, wide = (
-        tuple(times * _core.spacing_quantile(xyz, quantile) for xyz, times in clouds)
-        for quantile in (0.5, _SPACING_QUANTILE)
+    options = options_json(
+        method=None if method is None else checked_choice("method", method, _METHODS),
+        n_neighbors=None if n_neighbors is None else checked_count("n_neighbors", n_neighbors),
     )
+    source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
+    given_areas = given_areas_of(areas, target_cloud.crs)
+    with naming(source_cloud, target_cloud):
+        found = _core.evaluate(source_cloud.xyz, target_cloud.xyz, matrix, options)
+    forth, back = found["source_to_target"], found["target_to_source"]
+    spacing = (found["spacing_of_source"], found["spacing_of_target"])
     statistics, n_beyond, shares = [], [], []
-    for distances in (forth, back):
+    for distances, cloud in ((forth, source_cloud), (back, target_cloud)):
         measured = distances[np.isfinite(distances)]
-        n_finite = len(measured)
+        n_finite = int(np.count_nonzero(np.isfinite(cloud.xyz).all(axis=1)))
         if max_distance is not None:
             measured = measured[np.abs(measured) <= max_distance]
         statistics.append(DistanceStatistics.of(measured))
@@ -182,9 +201,10 @@ def evaluate(
         shares.append(None if within is None else float(within.mean()))
     rows: tuple[AreaStatistics, ...] = ()
     if areas is not None:
-        hole_radius = _HOLE_IN_SPACINGS * max(wide) or 1.0  # of single points there is no spacing
+        hole_radius = _HOLE_IN_SPACINGS * found["wide_spacing"] or 1.0  # one point has no spacing
         if given_areas is None:
-            overlap = target_cloud.xyz[back <= (hole_radius if max_distance is None else max_distance)]
+            reach = hole_radius if max_distance is None else max_distance
+            overlap = target_cloud.xyz[np.abs(back) <= reach]
             given_areas = automatic_areas(overlap, hole_radius)
         rows = measure_areas(
             given_areas,
@@ -195,7 +215,9 @@ def evaluate(
             tolerance=tolerance,
             max_distance=max_distance,
         )
+    chosen: DistanceMethod = method or "nearest"
     return Evaluation(
+        method=chosen,
         source_to_target=forth,
         target_to_source=back,
         source_to_target_statistics=statistics[0],
@@ -204,9 +226,9 @@ def evaluate(
         share_within=None if tolerance is None else (shares[0], shares[1]),
         tolerance=tolerance,
         max_distance=max_distance,
-        spacing=(median[0], median[1]),
+        spacing=spacing,
         areas=rows,
-        warnings=density_warnings((statistics[0], statistics[1]), (median[0], median[1])),
+        warnings=density_warnings((statistics[0], statistics[1]), spacing) if chosen == "nearest" else (),
     )
 
 
@@ -220,7 +242,7 @@ def density_warnings(
     statistics : tuple of DistanceStatistics
         Of distances to the nearest point, from source to target and back.
     spacing : tuple of float
-        Median spacing of source and target.
+        Of source and target, where the other was measured to.
     """
     sentences = []
     for at, (here, there) in enumerate((("source", "target"), ("target", "source"))):
@@ -234,7 +256,7 @@ def density_warnings(
     return tuple(sentences)
 
 
-def _given_areas(areas: AreasLike | None, crs: str | None) -> tuple[Area, ...] | None:
+def given_areas_of(areas: AreasLike | None, crs: str | None) -> tuple[Area, ...] | None:
     """Return areas, or None where they are to be made or there are to be none."""
     if areas is None or (isinstance(areas, str) and areas == "automatic"):
         return None
