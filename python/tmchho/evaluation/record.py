@@ -66,7 +66,10 @@ def distance_entries(
         tolerance=tolerance,
         max_distance=fused.hole_radius,
     )
-    spacing = (registration.scale * median_spacing(source.xyz), median_spacing(target.xyz))
+    of_source_and_target = [
+        median_spacing(cloud.xyz[np.isfinite(cloud.xyz).all(axis=1)]) for cloud in (source, target)
+    ]
+    spacing = (registration.scale * of_source_and_target[0], of_source_and_target[1])
     directions = {}
     for name, distances in (("source_to_target", forth), ("target_to_source", back)):
         measured = distances[distances <= fused.hole_radius]

@@ -13,6 +13,7 @@ from tmchho.errors import ReadError
 from tmchho.io import check_output
 from tmchho.outputs import FIGURES, REPORT, REPORT_PDF, REPORT_POINTS, RESULT, write_together
 from tmchho.report.browser import find_browser, print_to_pdf
+from tmchho.report.change import load_change
 from tmchho.report.page import make_page
 from tmchho.report.points import ReportPoints
 from tmchho.report.template import require_extras
@@ -31,7 +32,8 @@ def write_report(
     ----------
     folder : str or path
         With ``result.json`` and ``report_points.npz``, as `tmchho register` leaves them. Without the latter
-        the report has no pictures of the points.
+        the report has no pictures of the points. Where ``tmchho evaluate --method m3c2`` left its files for
+        the same pose in this folder, its change is shown, too.
     pdf : bool or None, default False
         Also print it to ``report.pdf`` by a Chromium, Chrome or Edge of this machine; with None only where
         there is one.
@@ -62,7 +64,9 @@ def write_report(
     check_output(folder / REPORT, overwrite)
     points = folder / REPORT_POINTS
     stored = ReportPoints.load(points) if points.exists() else None
-    page, charts = make_page(document, stored, _day(folder / RESULT))
+    page, charts = make_page(
+        document, stored, _day(folder / RESULT), load_change(folder, document["transformation"])
+    )
 
     files: dict[str, Callable[[Path], object]] = {
         REPORT: lambda path: path.write_text(page, encoding="utf-8", newline="\n")

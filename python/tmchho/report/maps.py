@@ -122,21 +122,22 @@ def _fullest_window(
 
 
 def value_map(
-    points: ReportPoints,
+    xyz: NDArray[np.float64],
     name: str,
     title: str,
     field: Field,
     areas: Sequence[Mapping[str, Any]],
     caption: str,
+    is_sparse: bool = False,
 ) -> Chart | None:
-    """Draw a value of the points by a ramp of colours with its legend, and the outlines of the areas.
+    """Draw a value of points by a ramp of colours with its legend, and the outlines of the areas.
 
     Returns
     -------
     Chart or None
         None where no point has the value.
     """
-    xyz, known = points.xyz, np.isfinite(field.values)
+    known = np.isfinite(field.values)
     if not known.any():
         return None
     from matplotlib.patheffects import withStroke
@@ -144,11 +145,11 @@ def value_map(
     # The areas of a report are seen from above, whatever else would show more.
     outlines = [outline for area in areas for outline in rings(area.get("outline"))]
     view = TOP if outlines else widest_view(xyz[known])
-    low, high = limits_of(xyz[known], view)
+    low, high = limits_of(xyz if is_sparse else xyz[known], view)
     with styled():
         figure, panel = _one_panel(low, high, room=0.7)
         values = field.values.astype(np.float64)
-        paint_values(panel, xyz, values, view, low, high, field.ramp, (field.low, field.high))
+        paint_values(panel, xyz, values, view, low, high, field.ramp, (field.low, field.high), is_sparse)
         for area in areas:
             for number, ring in enumerate(rings(area.get("outline"))):
                 panel.plot(ring[:, 0], ring[:, 1], color=INK, linewidth=1.0)

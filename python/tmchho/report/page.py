@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tmchho.report import charts, maps, words
+from tmchho.report.change import StoredChange
 from tmchho.report.chart import Chart
 from tmchho.report.points import ReportPoints
 from tmchho.report.rounding import nice_ceiling
@@ -34,7 +35,10 @@ _NO_POINTS = "Not available: the points that a report shows were not stored with
 
 
 def make_page(
-    document: Mapping[str, Any], points: ReportPoints | None, date: str | None
+    document: Mapping[str, Any],
+    points: ReportPoints | None,
+    date: str | None,
+    change: StoredChange | None = None,
 ) -> tuple[str, list[Chart]]:
     """Return the page, and the charts in it.
 
@@ -46,6 +50,8 @@ def make_page(
         What the pictures and the 3D view show; without it there are none.
     date : str, optional
         Day of the results.
+    change : StoredChange, optional
+        M3C2 distances at this pose.
 
     Returns
     -------
@@ -58,6 +64,8 @@ def make_page(
     radius = hole_radius(document)
     fields = {} if points is None else _fields(points, document, unit)
     made = _charts(document, points, fields, unit, radius)
+    if change is not None:
+        made["significant_map"] = _change_map(change, document, unit)
     shown = {name: chart and {**vars(chart), "svg": _markup(chart.svg())} for name, chart in made.items()}
     table_unit, table_factor = _table_unit(document, unit)
     distances = document.get("distances") or {}
@@ -80,7 +88,8 @@ def make_page(
         figures=words.key_figures(document, unit),
         charts=shown,
         evidence=words.evidence(document),
-        scene=None if points is None else report_scene(points, document, unit, fields),
+        scene=None if points is None else report_scene(points, document, unit, fields, change),
+        change=change,
         no_points=_NO_POINTS,
         legend_note=_legend_note(points, radius, unit),
         statistics=_statistics(document, unit),
@@ -166,7 +175,7 @@ def _charts(
             if areas:
                 caption += " Outlined: the areas."
             made["distance_map"] = maps.value_map(
-                points, "distance_map", "Map of the distances", distance, areas, caption
+                points.xyz, "distance_map", "Map of the distances", distance, areas, caption
             )
             made["distance_histogram"] = charts.distance_histogram(points, distance.high, unit)
             of_source = np.where(points.is_source, distance.values, np.nan)
@@ -178,6 +187,17 @@ def _charts(
     made["convergence"] = charts.convergence(document)
     made["candidates"] = charts.candidates(document)
     return made
+
+
+def _change_map(change: StoredChange, document: Mapping[str, Any], unit: str) -> Chart | None:
+    caption = (
+        "Change from the target to the source along the normal of the surface, averaged in cylinders (M3C2). "
+        "In colour: where it is more than the level of detection, which is what noise and the errors of the "
+        "position explain at 95 %. Grey: no significant change."
+    )
+    areas = document.get("areas") or []
+    field = change.field(unit)
+    return maps.value_map(change.xyz, "change_map", "Significant change", field, areas, caption, True)
 
 
 def _table_unit(document: Mapping[str, Any], unit: str) -> tuple[str, float]:

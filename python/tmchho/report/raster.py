@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 _MAX_CELLS, _MIN_CELLS = 460, 60  # along the longer side
 _POINTS_PER_CELL = 2.5  # fewer leave gaps
+_PLACES_PER_CELL = 1.3
 _POINTS_PER_MEAN = 6.0  # fewer show more of the chance than of the clouds
 
 
@@ -71,14 +72,21 @@ def paint_values(
     high: NDArray[np.float64],
     ramp: str,
     ends: tuple[float, float],
+    is_sparse: bool = False,
 ) -> None:
-    """Draw the mean of the values in each cell by a ramp of colours; grey where all of them are NaN."""
+    """Draw the mean of the values in each cell by a ramp of colours; grey where all of them are NaN.
+
+    Sparse values are of a few chosen places that are spread evenly: cells are as small as those are near.
+    """
     from matplotlib.colors import Normalize
 
     from tmchho.report.colours import FAINT, colour_map, rgba
 
     known = np.isfinite(values)
-    edge = _edge(xyz[known], view, low, high, _POINTS_PER_MEAN)
+    if is_sparse:
+        edge = _edge(xyz, view, low, high, _PLACES_PER_CELL)
+    else:
+        edge = _edge(xyz[known], view, low, high, _POINTS_PER_MEAN)
     cells, shape = _cells(xyz, view, low, high, edge)
     n_cells = shape[0] * shape[1]
     counted, others = cells[known & (cells >= 0)], cells[~known & (cells >= 0)]

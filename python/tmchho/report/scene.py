@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,10 +21,13 @@ from tmchho.report.colours import (
     gradient,
     swatches,
 )
-from tmchho.report.points import ReportPoints
+from tmchho.report.points import NO_COLOUR, ReportPoints
 from tmchho.stages import median_spacing
 
-FILLS_HOLE, IS_FUSED = 1, 2
+if TYPE_CHECKING:
+    from tmchho.report.change import StoredChange
+
+FILLS_HOLE, IS_FUSED, IS_CLOUD, IS_CORE = 1, 2, 4, 8
 _NO_VALUE = 65_535
 # Nearest neighbours of a random choice lie nearer than the points of a grid as dense; this closes the gaps.
 _CLOSED = 1.7
@@ -134,7 +137,11 @@ def pack(
 
 
 def report_scene(
-    points: ReportPoints, document: Mapping[str, Any], unit: str, fields: Mapping[str, Field]
+    points: ReportPoints,
+    document: Mapping[str, Any],
+    unit: str,
+    fields: Mapping[str, Field],
+    change: StoredChange | None = None,
 ) -> Scene:
     """Return the 3D view of a registration.
 
@@ -148,6 +155,8 @@ def report_scene(
         Of lengths, with the blank before it.
     fields : mapping of str to Field
         The values that points can be coloured by, under the names of their buttons.
+    change : StoredChange, optional
+        M3C2 distances, shown at their cores instead of the clouds.
 
     Returns
     -------
@@ -195,19 +204,39 @@ def report_scene(
             }
         )
     modes.append(height_mode())
-    flags = points.fills_hole * np.uint8(FILLS_HOLE) + points.is_fused * np.uint8(IS_FUSED)
+    modes = [{"only": IS_CLOUD, **mode} for mode in modes]
+    steps, colour, shown = points.steps, points.colour, list(fields.values())
+    flags = IS_CLOUD + points.fills_hole * FILLS_HOLE + points.is_fused * IS_FUSED
+    if change is not None:
+        # Cores lie on the target, whose box the steps cover.
+        cores = np.clip(np.rint((change.xyz - points.origin) / points.step), 0, _NO_VALUE).astype(np.uint16)
+        one = change.field(unit)
+        shown = [replace(each, values=_padded(each.values, after=len(cores))) for each in shown]
+        shown.append(replace(one, values=_padded(one.values, before=len(steps))))
+        layers.append(_layer("Change", len(steps), len(cores), MARKED, MARKED))
+        legend = {"ramp": gradient(one.ramp), "words": one.label}
+        mode = {"key": "change", "label": "Change (M3C2)", "paint": "field", "field": len(shown) - 1}
+        modes.insert(2, {**mode, "only": IS_CORE, "legend": legend})
+        steps = np.concatenate([steps, cores])
+        flags = np.concatenate([flags, np.full(len(cores), IS_CORE)])
+        if len(colour):
+            colour = np.concatenate([colour, np.full((len(cores), 3), NO_COLOUR, dtype=np.uint8)])
     return pack(
-        points.steps,
+        steps,
         points.origin,
         points.step,
         layers,
         modes,
-        list(fields.values()),
-        points.colour,
+        shown,
+        colour,
         flags.astype(np.uint8),
         unit,
         before=before_pose(document, points),
     )
+
+
+def _padded(values: NDArray[Any], before: int = 0, after: int = 0) -> NDArray[np.float64]:
+    return np.pad(np.asarray(values, dtype=np.float64), (before, after), constant_values=np.nan)
 
 
 def height_mode() -> dict[str, Any]:

@@ -54,6 +54,7 @@ function startViewer(root) {
 
   const FIELD = Math.PI / 5;
   const HOME = { turn: -0.9, tilt: 0.5 };
+  let wasMoved = false; // by the reader, whose view is then kept whatever the size
   const camera = { at: [...scene.look_at], turn: HOME.turn, tilt: HOME.tilt, away: 1 };
   const axes = () => {
     const [s, c, st, ct] = [Math.sin(camera.turn), Math.cos(camera.turn), Math.sin(camera.tilt), Math.cos(camera.tilt)];
@@ -184,6 +185,7 @@ function startViewer(root) {
     const [w, h] = [canvas.clientWidth, canvas.clientHeight].map((v) => Math.max(1, Math.round(v * ratio)));
     if (canvas.width === w && canvas.height === h) return;
     [canvas.width, canvas.height] = [w, h];
+    if (!wasMoved) fit();
     gl.bindTexture(gl.TEXTURE_2D, image);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, w, h, 0, gl.RGBA, gl.UNSIGNED_BYTE, null);
     gl.bindTexture(gl.TEXTURE_2D, depths);
@@ -286,6 +288,7 @@ function startViewer(root) {
   // While something moves, as much is drawn as the machine manages; all of it once it rests.
   let rest = 0, lastMove = 0, manageable = 1;
   const moving = () => {
+    wasMoved = true;
     const now = performance.now(), apart = Math.max(1, now - lastMove);
     if (apart < 1500) manageable = Math.min(1, Math.max(0.05, manageable * Math.min(1.15, Math.max(0.5, 33 / apart))));
     share = manageable;
@@ -484,7 +487,6 @@ function startViewer(root) {
   canvas.addEventListener("webglcontextlost", () => root.classList.add("no-3d"));
 
   resize();
-  fit();
   showLegend();
   draw();
   performance.mark("tmchho-first-draw");

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from report_tools import Page, Registered
 import tmchho
 from tmchho.cli import main
 from tmchho.outputs import OUTPUTS
-from tmchho.report import template
+from tmchho.report import template, words
 from tmchho.report.browser import find_browser
 
 
@@ -122,3 +123,23 @@ def test_values_of_a_cloud_can_be_looked_at(tmp_path: Path) -> None:
         tmchho.write_view(cloud, tmp_path / "b.html")  # type: ignore[arg-type]
     with pytest.raises(tmchho.InvalidCloudError, match="no finite point"):
         tmchho.write_view([[[float("nan")] * 3]], tmp_path / "c.html")
+
+
+def test_change_that_was_measured_at_the_same_pose_is_shown(registered: Registered, tmp_path: Path) -> None:
+    for name in ("result.json", "report_points.npz"):
+        shutil.copy2(registered.folder / name, tmp_path / name)
+    result = tmp_path / "result.json"
+    clouds = registered.source, registered.target
+    evaluated = run(
+        "evaluate", *clouds, "--transform", result, "--method", "m3c2", "-o", tmp_path, "--form", "laz"
+    )
+    assert evaluated.exit_code == 0, evaluated.output
+    cores = json.loads((tmp_path / "evaluation.json").read_text())["target_to_source"]
+    page = Page(tmchho.write_report(tmp_path)[0].read_text(encoding="utf-8"))
+    assert f"Measured at {words.count(cores['n_points'])} places" in page.text
+    assert "Change (M3C2)" in page.text
+    document = json.loads(result.read_text())
+    document["transformation"][0][3] += 1.0  # registered once more, with another result
+    result.write_text(json.dumps(document))
+    page = Page(tmchho.write_report(tmp_path)[0].read_text(encoding="utf-8"))
+    assert "Change (M3C2)" not in page.text
