@@ -90,6 +90,7 @@ def make_page(
         evidence=words.evidence(document),
         scene=None if points is None else report_scene(points, document, unit, fields, change),
         change=change,
+        n_shown=0 if points is None else len(points.steps),
         no_points=_NO_POINTS,
         legend_note=_legend_note(points, radius, unit),
         statistics=_statistics(document, unit),
@@ -271,7 +272,7 @@ def _size(side: Mapping[str, Any], unit: str) -> str:
 
 
 def _place(corner: list[float] | None) -> str:
-    return words.NOT_MEASURED if corner is None else ", ".join(words.number(x, 10) for x in corner)
+    return words.NOT_MEASURED if corner is None else ", ".join(f"{x:,.3f}".replace(",", "\u202f") for x in corner)
 
 
 def _rows(matrix: Any) -> str:

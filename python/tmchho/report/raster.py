@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 _MAX_CELLS, _MIN_CELLS = 460, 60  # along the longer side
 _POINTS_PER_CELL = 2.5  # fewer leave gaps
-_PLACES_PER_CELL = 1.3
+_PLACES_PER_CELL = 2.0
 _POINTS_PER_MEAN = 6.0  # fewer show more of the chance than of the clouds
 
 
