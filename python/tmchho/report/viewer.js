@@ -54,6 +54,7 @@ function startViewer(root) {
 
   const FIELD = Math.PI / 5;
   const HOME = { turn: -0.9, tilt: 0.5 };
+  let share = 1; // of the points drawn while something moves, so that slow machines keep up
   let wasMoved = false; // by the reader, whose view is then kept whatever the size
   const camera = { at: [...scene.look_at], turn: HOME.turn, tilt: HOME.tilt, away: 1 };
   const axes = () => {
@@ -181,7 +182,8 @@ function startViewer(root) {
   }));
   const image = texture(gl.NEAREST), depths = texture(gl.NEAREST), frame = gl.createFramebuffer();
   const resize = () => {
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    // Where even few points are too many, the pixels are: half as many each way while something moves.
+    const ratio = Math.min(window.devicePixelRatio || 1, 2) * (share < 0.3 ? 0.5 : 1);
     const [w, h] = [canvas.clientWidth, canvas.clientHeight].map((v) => Math.max(1, Math.round(v * ratio)));
     if (canvas.width === w && canvas.height === h) return;
     [canvas.width, canvas.height] = [w, h];
@@ -201,7 +203,6 @@ function startViewer(root) {
   const shownLayers = () => layers.filter((_, i) => $(`input[data-layer="${i}"]`).checked);
   const upperEnds = scene.fields.map((field) => field.high);
   const encoded = (field, value) => (value - field.low_end) / field.value_step;
-  let share = 1; // of the points drawn while something moves, so that slow machines keep up
   let asBefore = 0; // 0 where the source lies now, 1 where it lay before
 
   /* The pose of a layer: between now (identity) and before, turned about the same axis all the way. */
