@@ -295,8 +295,13 @@ function startViewer(root) {
     share = manageable;
     lastMove = now;
     clearTimeout(rest);
-    rest = setTimeout(() => { share = 1; redraw(); }, 200);
+    rest = setTimeout(refine, 200);
     redraw();
+  };
+  const refine = () => {
+    share = Math.min(1, 3 * share);
+    redraw();
+    if (share < 1) rest = setTimeout(refine, 60);
   };
 
   // ---- picking: the point nearest to the pointer, of those in front
