@@ -75,9 +75,10 @@ pub struct M3c2Change {
     pub distance_m: f64,
     /// The level of detection at 95 % as published: 1.96·(√(σ₁²/n₁ + σ₂²/n₂) + reg).
     pub level_of_detection_m: f64,
-    /// The smallest change that is significant here: the level of detection, or what replaces it where
-    /// neighbouring points err alike and so count as one observation for each eighth of the cylinder,
-    /// whichever is larger. Infinite where all points of a cloud lie in one eighth.
+    /// The smallest change that is significant here: the level of detection, or the one in which
+    /// neighbouring points, which err alike, count as one observation, whichever is larger; infinite
+    /// where all points of a cloud are neighbours. Neighbours lie in the same sixth of the cylinder and
+    /// in the same slab of it, as thick as its radius.
     pub significant_from_m: f64,
     /// Standard deviation along the normal in the reference and in the compared cloud (n − 1).
     pub spread_m: (f64, f64),
@@ -148,54 +149,53 @@ pub fn m3c2(
     progress: &Progress<'_>,
 ) -> Result<Vec<M3c2Change>> {
     options.check()?;
-    map_places(
-        cores,
-        progress,
-        || (),
-        |(), i| {
-            let core = &cores[i];
-            let (normal, normal_radius_m) = flattest_normal(
-                core,
-                reference,
-                &scales.normal_radii_m,
-                &options.orientation,
-            );
-            let axes = across(&normal);
-            let [first, second] = [reference, compared].map(|cloud| {
-                let mut along = Along::new(axes, scales.cylinder_radius_m);
-                if normal_radius_m.is_finite() {
-                    let (radius_m, depth_m) = (scales.cylinder_radius_m, scales.max_depth_m);
-                    cloud.each_in_cylinder(core, &normal, radius_m, depth_m, |t, offset| {
-                        along.add(t, &offset);
-                    });
-                }
-                along
+    let no_scratch = || ();
+    map_places(cores, progress, no_scratch, |(), i| {
+        change_at(&cores[i], [reference, compared], scales, options)
+    })
+}
+
+fn change_at(
+    core: &Point,
+    clouds: [&NeighborIndex; 2],
+    scales: &M3c2Scales,
+    options: &M3c2Options,
+) -> M3c2Change {
+    let (radius_m, depth_m) = (scales.cylinder_radius_m, scales.max_depth_m);
+    let radii_m = &scales.normal_radii_m;
+    let (normal, normal_radius_m) = flattest_normal(core, clouds[0], radii_m, &options.orientation);
+    let axes = across(&normal);
+    let [first, second] = clouds.map(|cloud| {
+        let mut along = Along::new(axes, radius_m, depth_m);
+        if normal_radius_m.is_finite() {
+            cloud.each_in_cylinder(core, &normal, radius_m, depth_m, |t, offset| {
+                along.add(t, &offset);
             });
-            let distance_m = second.mean() - first.mean();
-            let (n_1, n_2) = (first.n(), second.n());
-            let by_chance =
-                (first.variance() / f64::from(n_1) + second.variance() / f64::from(n_2)).sqrt();
-            let systematic = SIGMAS_OF_95 * options.registration_error_m;
-            let level_of_detection_m = SIGMAS_OF_95 * by_chance + systematic;
-            let clustered_m = clustered_half_width(&first, &second) + systematic;
-            let significant_from_m = if level_of_detection_m.is_nan() {
-                f64::NAN
-            } else {
-                level_of_detection_m.max(clustered_m)
-            };
-            M3c2Change {
-                normal,
-                normal_radius_m,
-                distance_m,
-                level_of_detection_m,
-                significant_from_m,
-                spread_m: (first.variance().sqrt(), second.variance().sqrt()),
-                n_points: (n_1, n_2),
-                is_significant: distance_m.abs() > significant_from_m
-                    && n_1.min(n_2) as usize >= options.min_points,
-            }
-        },
-    )
+        }
+        along
+    });
+    let distance_m = second.mean() - first.mean();
+    let (n_1, n_2) = (first.n(), second.n());
+    let by_chance = (first.variance() / f64::from(n_1) + second.variance() / f64::from(n_2)).sqrt();
+    let systematic = SIGMAS_OF_95 * options.registration_error_m;
+    let level_of_detection_m = SIGMAS_OF_95 * by_chance + systematic;
+    let clustered_m = clustered_half_width(&first, &second) + systematic;
+    let significant_from_m = if level_of_detection_m.is_nan() {
+        f64::NAN
+    } else {
+        level_of_detection_m.max(clustered_m)
+    };
+    M3c2Change {
+        normal,
+        normal_radius_m,
+        distance_m,
+        level_of_detection_m,
+        significant_from_m,
+        spread_m: (first.variance().sqrt(), second.variance().sqrt()),
+        n_points: (n_1, n_2),
+        is_significant: distance_m.abs() > significant_from_m
+            && n_1.min(n_2) as usize >= options.min_points,
+    }
 }
 
 #[cfg(test)]

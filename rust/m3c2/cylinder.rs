@@ -3,8 +3,11 @@
 
 use crate::cloud::Point;
 
-/// A cylinder is parted into quarters, and these into an inner and an outer half of the same size.
-const N_PARTS: usize = 8;
+/// A cylinder is cut into slabs as thick as its radius, but into no more than this.
+const MAX_SLABS: f64 = 64.0;
+
+/// Each slab is cut into sixths, told by the sides of three lines on which a point lies.
+const SIDES: usize = 8;
 
 /// Student's t at 95 %, two-sided, for 1, 2, … degrees of freedom.
 const T_95: [f64; 14] = [
@@ -15,73 +18,83 @@ const T_95: [f64; 14] = [
 /// The points of one cloud in a cylinder, by their places along its axis, summed up about the first
 /// of them so that nothing cancels.
 pub(super) struct Along {
-    /// Directions across the axis, which part the cylinder into eighths.
+    /// Directions across the axis.
     across: [Point; 2],
-    /// What parts the inner half of the cylinder from the outer one.
-    half_radius_sq: f64,
-    n: [u32; N_PARTS],
+    depth_m: f64,
+    slab_m: f64,
     first: Option<f64>,
-    sum: [f64; N_PARTS],
+    parts: Vec<Part>,
+    n: u32,
+    sum: f64,
     sum_sq: f64,
 }
 
+/// The points of a sixth of a slab.
+#[derive(Debug, Clone, Copy, Default)]
+struct Part {
+    n: u32,
+    sum: f64,
+}
+
 impl Along {
-    pub(super) fn new(across: [Point; 2], radius_m: f64) -> Self {
+    pub(super) fn new(across: [Point; 2], radius_m: f64, depth_m: f64) -> Self {
+        let n_slabs = (2.0 * depth_m / radius_m).ceil().clamp(1.0, MAX_SLABS);
         Self {
             across,
-            half_radius_sq: 0.5 * radius_m * radius_m,
-            n: [0; N_PARTS],
+            depth_m,
+            slab_m: 2.0 * depth_m / n_slabs,
             first: None,
-            sum: [0.0; N_PARTS],
+            parts: vec![Part::default(); SIDES * n_slabs as usize],
+            n: 0,
+            sum: 0.0,
             sum_sq: 0.0,
         }
     }
 
     #[inline]
     pub(super) fn add(&mut self, along: f64, offset: &Point) {
-        let [x, y] = [dot(offset, &self.across[0]), dot(offset, &self.across[1])];
-        let is_outer = x * x + y * y > self.half_radius_sq;
-        let part = usize::from(x > 0.0) + 2 * usize::from(y > 0.0) + 4 * usize::from(is_outer);
+        let y = dot(offset, &self.across[1]);
+        let slope = dot(offset, &self.across[0]) * 3.0_f64.sqrt();
+        let side = usize::from(y > 0.0) + 2 * usize::from(y > slope) + 4 * usize::from(y > -slope);
+        let slab = ((along + self.depth_m) / self.slab_m) as usize;
+        let at = (SIDES * slab + side).min(self.parts.len() - 1);
         let d = along - *self.first.get_or_insert(along);
-        self.n[part] += 1;
-        self.sum[part] += d;
+        self.parts[at].n += 1;
+        self.parts[at].sum += d;
+        self.n += 1;
+        self.sum += d;
         self.sum_sq += d * d;
     }
 
     pub(super) fn n(&self) -> u32 {
-        self.n.iter().sum()
-    }
-
-    /// About the first; NaN of nothing.
-    fn local_mean(&self) -> f64 {
-        self.sum.iter().sum::<f64>() / f64::from(self.n())
+        self.n
     }
 
     /// NaN of nothing.
     pub(super) fn mean(&self) -> f64 {
-        self.first.unwrap_or(f64::NAN) + self.local_mean()
+        self.first.unwrap_or(f64::NAN) + self.sum / f64::from(self.n)
     }
 
     /// Divided by n − 1; NaN of fewer than two.
     pub(super) fn variance(&self) -> f64 {
-        let n = self.n();
-        if n < 2 {
+        if self.n < 2 {
             return f64::NAN;
         }
-        let sum = self.sum.iter().sum::<f64>();
-        ((self.sum_sq - sum * sum / f64::from(n)) / f64::from(n - 1)).max(0.0)
+        let n = f64::from(self.n);
+        ((self.sum_sq - self.sum * self.sum / n) / (n - 1.0)).max(0.0)
     }
 
     /// The variance of the mean where the points of each part count as one observation, and its
     /// degrees of freedom; `None` where all points lie in one part.
     fn clustered_variance(&self) -> Option<(f64, f64)> {
-        let mean = self.local_mean();
+        let n = f64::from(self.n);
+        let mean = self.sum / n;
         let (mut n_parts, mut squares) = (0, 0.0);
-        for (n, sum) in self.n.iter().zip(&self.sum).filter(|(n, _)| **n > 0) {
+        for part in self.parts.iter().filter(|part| part.n > 0) {
             n_parts += 1;
-            squares += (sum - f64::from(*n) * mean).powi(2);
+            squares += (part.sum - f64::from(part.n) * mean).powi(2);
         }
-        let (n, parts) = (f64::from(self.n()), f64::from(n_parts));
+        let parts = f64::from(n_parts);
         (n_parts > 1).then(|| (squares / (n * n) * parts / (parts - 1.0), parts - 1.0))
     }
 }
@@ -133,9 +146,26 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_slab_has_six_parts() {
+        let mut along = Along::new(across(&[0.0, 0.0, 1.0]), 1.0, 0.5);
+        for degrees in 0..360 {
+            let angle = (f64::from(degrees) + 0.5).to_radians();
+            along.add(0.0, &[angle.cos(), angle.sin(), 0.0]);
+        }
+        let counts: Vec<u32> = along
+            .parts
+            .iter()
+            .map(|part| part.n)
+            .filter(|n| *n > 0)
+            .collect();
+        assert_eq!(counts, [60; 6]);
+    }
+
+    #[test]
     fn clusters_by_hand() {
-        let mut along = Along::new(across(&[0.0, 0.0, 1.0]), 2.0);
-        // Two points in one eighth, one in another: the mean is 2, the parts pull by −1 and 1.
+        let empty = || Along::new(across(&[0.0, 0.0, 1.0]), 4.0, 4.0);
+        let mut along = empty();
+        // Two points in one sixth, one in another: the mean is 2, the parts pull by −1 and 1.
         for (t, x) in [(1.0, 0.5), (2.0, 0.6), (3.0, -0.5)] {
             along.add(t, &[x, 0.1, t]);
         }
@@ -146,9 +176,14 @@ mod tests {
         // Alike twice over: two degrees of freedom.
         let wanted = 4.303 * (8.0_f64 / 9.0).sqrt();
         assert!((clustered_half_width(&along, &along) - wanted).abs() < 1e-12);
-        let mut lone = Along::new(across(&[0.0, 0.0, 1.0]), 2.0);
+        let mut lone = empty();
         lone.add(1.0, &[0.5, 0.1, 1.0]);
         assert_eq!(clustered_half_width(&along, &lone), f64::INFINITY);
+        // The other side of the core is another slab, the rims belong to the last ones.
+        lone.add(-1.0, &[0.5, 0.1, -1.0]);
+        assert!(lone.clustered_variance().is_some());
+        lone.add(4.0, &[0.5, 0.1, 4.0]);
+        assert_eq!(lone.n(), 3);
         for axis in [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [1.0, 0.0, 0.0]] {
             let [x, y] = across(&axis);
             for (a, b, wanted) in [

@@ -41,9 +41,10 @@ class Change(ReadOnlyArrays):
     level_of_detection : (n,) float64 array
         As published, at 95 %: every point counts as an observation of its own.
     significant_from : (n,) float64 array
-        The smallest change that is significant here: the level of detection, or the larger one in which
-        neighbouring points, which err alike, count as one observation for each eighth of the cylinder.
-        Infinite where all points of a cloud lie in one eighth.
+        The smallest change that is significant here: the level of detection, or the one in which
+        neighbouring points, which err alike, count as one observation, whichever is larger; infinite where
+        all points of a cloud are neighbours. Neighbours lie in the same sixth of the cylinder and in the
+        same slab of it, as thick as its radius.
     is_significant : (n,) bool array
         Whether the change exceeds that, from enough points.
     n_target, n_source : (n,) uint32 array
