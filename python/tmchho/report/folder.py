@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from tmchho.errors import ReadError
-from tmchho.io import check_output
-from tmchho.outputs import FIGURES, REPORT, REPORT_PDF, REPORT_POINTS, RESULT, write_together
+from tmchho.io import check_output, read
+from tmchho.outputs import FIGURES, FUSED, REPORT, REPORT_PDF, REPORT_POINTS, RESULT, write_together
 from tmchho.report.browser import find_browser, print_to_pdf
 from tmchho.report.change import load_change
+from tmchho.report.fused_points import points_of_fused
 from tmchho.report.page import make_page
 from tmchho.report.points import ReportPoints
 from tmchho.report.template import require_extras
@@ -32,8 +33,8 @@ def write_report(
     ----------
     folder : str or path
         With ``result.json`` and ``report_points.npz``, as `tmchho register` leaves them. Without the latter
-        the report has no pictures of the points. Where ``tmchho evaluate --method m3c2`` left its files for
-        the same pose in this folder, its change is shown, too.
+        the points are taken from ``fused.laz``; without both the report has no pictures of them. Where
+        ``tmchho evaluate --method m3c2`` left its files for the same pose, its change is shown, too.
     pdf : bool or None, default False
         Also print it to ``report.pdf`` by a Chromium, Chrome or Edge of this machine; with None only where
         there is one.
@@ -62,8 +63,7 @@ def write_report(
     browser = find_browser(required=bool(pdf)) if pdf in (True, None) else None
     document = read_result(folder)
     check_output(folder / REPORT, overwrite)
-    points = folder / REPORT_POINTS
-    stored = ReportPoints.load(points) if points.exists() else None
+    stored = _points(folder, document)
     page, charts = make_page(
         document, stored, _day(folder / RESULT), load_change(folder, document["transformation"])
     )
@@ -83,6 +83,15 @@ def write_report(
         write_together(folder / FIGURES, pictures, overwrite=overwrite)
         written += [folder / FIGURES / name for name in pictures]
     return tuple(written)
+
+
+def _points(folder: Path, document: Mapping[str, Any]) -> ReportPoints | None:
+    """Return the points that were kept or, where none were, some of the fused cloud; None without either."""
+    if (folder / REPORT_POINTS).exists():
+        return ReportPoints.load(folder / REPORT_POINTS)
+    if document.get("fused") is None or not (folder / FUSED).exists():
+        return None
+    return points_of_fused([read(folder / FUSED)], document["seed"], document["voxel_size"])
 
 
 def read_result(folder: Path) -> Mapping[str, Any]:

@@ -272,7 +272,11 @@ def _size(side: Mapping[str, Any], unit: str) -> str:
 
 
 def _place(corner: list[float] | None) -> str:
-    return words.NOT_MEASURED if corner is None else ", ".join(f"{x:,.3f}".replace(",", "\u202f") for x in corner)
+    return (
+        words.NOT_MEASURED
+        if corner is None
+        else ", ".join(f"{x:,.3f}".replace(",", "\u202f") for x in corner)
+    )
 
 
 def _rows(matrix: Any) -> str:

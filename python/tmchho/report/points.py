@@ -7,7 +7,7 @@ Why kept: a report is made from results alone, also years later, when the clouds
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -131,15 +131,32 @@ def points_of(
     -------
     ReportPoints
     """
+    edge = registration.voxel_size / registration.scale
+    return choose(source, target, registration.apply, fused, registration.seed, edge, max_points)
+
+
+def choose(
+    source: PointCloud,
+    target: PointCloud,
+    move: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    fused: FusedCloud | None,
+    seed: int,
+    edge: float,
+    max_points: int = MAX_POINTS,
+) -> ReportPoints:
+    """Do what `points_of` does, for clouds of which only the move is known.
+
+    `move` takes source to target coordinates; `edge` is that of the cubes in which points are counted.
+    """
     clouds = (target, source)
     finite = [np.flatnonzero(np.isfinite(cloud.xyz).all(axis=1)) for cloud in clouds]
     shares = _shares([len(rows) for rows in finite], max_points)
     chosen, places = [], []
     for number, (cloud, rows, share) in enumerate(zip(clouds, finite, shares, strict=True)):
-        random = np.random.default_rng([registration.seed, number])
-        kept = rows[spread(cloud.xyz[rows], share, registration.voxel_size / registration.scale, random)]
+        random = np.random.default_rng([seed, number])
+        kept = rows[spread(cloud.xyz[rows], share, edge, random)]
         chosen.append(kept)
-        places.append(cloud.xyz[kept] if cloud is target else registration.apply(cloud.xyz[kept]))
+        places.append(cloud.xyz[kept] if number == 0 else move(cloud.xyz[kept]))
     xyz = np.concatenate(places)
     origin, step, steps = quantised(xyz)
     distance, fills_hole, is_fused = (
@@ -152,8 +169,8 @@ def points_of(
         xyz[common],
         is_source[common],
         (source, target),
-        registration.apply,
-        np.random.default_rng([registration.seed, 2]),
+        move,
+        np.random.default_rng([seed, 2]),
     )
     colours = [colour_of(cloud.attributes, rows) for cloud, rows in zip(clouds, chosen, strict=True)]
     return ReportPoints(

@@ -156,6 +156,14 @@ def test_what_was_not_measured_is_called_so(registered: Registered, tmp_path: Pa
     assert not [values for tag, values in page.tags if tag == "canvas"]
 
 
+def test_without_its_points_the_fused_cloud_is_shown(registered: Registered, tmp_path: Path) -> None:
+    for name in ("result.json", "fused.laz"):
+        shutil.copy2(registered.folder / name, tmp_path / name)
+    page = Page(tmchho.write_report(tmp_path)[0].read_text(encoding="utf-8"))
+    assert [values for tag, values in page.tags if tag == "canvas"]
+    assert "Map of the distances." in page.text
+
+
 def test_numbers_that_nobody_has_are_no_crash(registered: Registered, tmp_path: Path) -> None:
     document = result_of(registered)
     unknown = ("registration_error", "ambiguity_ratio", "lead_over_chance", "held_out_ratio", "misfit")

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import tmchho
 from tmchho.errors import ReadError
+from tmchho.report.fused_points import points_of_fused
 from tmchho.report.points import ReportPoints, colour_of, points_of, quantised, spread
 from tmchho.report.scene import Field, angle_and_axis, before_pose
 
@@ -150,3 +151,30 @@ def test_a_field_is_encoded_over_all_its_values() -> None:
     assert np.abs(decoded[:3] - values[:3]).max() <= described["value_step"] / 2
     assert codes[3] == 65_535  # which means: none
     assert (described["low"], described["high"]) == (0.0, 0.5)
+
+
+def test_the_fused_cloud_gives_the_same_points_in_parts_of_any_size(
+    registered: Registered, points: ReportPoints
+) -> None:
+    fused = tmchho.read(registered.folder / "fused.laz")
+
+    def part(rows: slice) -> tmchho.PointCloud:
+        values = {name: np.asarray(values)[rows] for name, values in fused.attributes.items()}
+        return tmchho.PointCloud(fused.xyz[rows], values)
+
+    edge = json.loads((registered.folder / "result.json").read_text())["voxel_size"]
+    for size in (5_000, 21_000):
+        parts = [part(slice(start, start + size)) for start in range(0, len(fused), size)]
+        found = points_of_fused(parts, 0, edge)
+        assert found.n_target == points.n_target
+        for side in (found.is_source, ~found.is_source):
+            apart, rows = cKDTree(points.xyz).query(found.xyz[side])
+            assert apart.max() < np.linalg.norm(points.step) + 2e-3
+            assert np.abs(points.distance[rows] - found.distance[side]).max() < 2e-3
+        assert np.count_nonzero(found.fills_hole) == np.count_nonzero(points.fills_hole)
+        assert np.count_nonzero(found.cut_is_source) >= 100
+
+
+def test_a_cloud_that_was_not_fused_here_is_refused(registered: Registered) -> None:
+    with pytest.raises(ReadError, match="origin"):
+        points_of_fused([registered.pair.target], 0, 1.0)
