@@ -1,6 +1,7 @@
-//! How long the point-wise stages take: from a thousand points to a million, points per second.
+//! How long the point-wise stages take: from ten thousand points to a million, points per second.
 //!
-//! `cargo bench --bench stages -- --quick` for a first look, `-- voxel` for one stage.
+//! `cargo bench --bench stages -- --quick` for a first look, `-- voxel` for one stage. With
+//! `TMCHHO_BENCH_LARGE=1` ten million points as well, which takes gigabytes and many minutes.
 
 use std::hint::black_box;
 
@@ -11,7 +12,14 @@ use tmchho::random::Stream;
 use tmchho::{Cloud, Point, Rigid};
 use tmchho::{evaluate, fuse, keypoints, normals, outlier, spacing, voxel};
 
-const SIZES: [usize; 4] = [1_000, 10_000, 100_000, 1_000_000];
+const SIZES: [usize; 3] = [10_000, 100_000, 1_000_000];
+const LARGE: usize = 10_000_000;
+const LARGE_VARIABLE: &str = "TMCHHO_BENCH_LARGE";
+
+fn sizes() -> Vec<usize> {
+    let large = std::env::var_os(LARGE_VARIABLE).map(|_| LARGE);
+    SIZES.into_iter().chain(large).collect()
+}
 
 /// A cloud of rolling ground, with its index and its spacing.
 struct Scene {
@@ -43,9 +51,22 @@ impl Scene {
     }
 }
 
+/// The points laid into one level plane.
+fn flat(points: &[Point]) -> Vec<Point> {
+    points.iter().map(|[x, y, _]| [*x, *y, 0.0]).collect()
+}
+
+/// The points with copies of others in the place of three in ten.
+fn with_duplicates(points: &[Point]) -> Vec<Point> {
+    let place = |i: usize| if i % 10 < 3 { i * 7 + 3 } else { i };
+    (0..points.len())
+        .map(|i| points[place(i) % points.len()])
+        .collect()
+}
+
 fn stages(criterion: &mut Criterion) {
     let silent = Progress::silent();
-    for n in SIZES {
+    for n in sizes() {
         let scene = Scene::new(n, 0);
         let other = Scene::new(n, 1);
         let (points, others) = (scene.cloud.points(), other.cloud.points());
@@ -82,6 +103,27 @@ fn stages(criterion: &mut Criterion) {
         });
         bench("evaluate", &mut || {
             black_box(evaluate::nearest_distances(others, &scene.index, &silent).is_ok());
+        });
+        let shapes = [
+            ("nearest", points.to_vec(), others.to_vec()),
+            ("nearest_flat", flat(points), flat(others)),
+            (
+                "nearest_duplicates",
+                with_duplicates(points),
+                with_duplicates(others),
+            ),
+        ];
+        for (name, target, source) in shapes {
+            bench(name, &mut || {
+                let index = NeighborIndex::new(&target);
+                black_box(evaluate::nearest_distances(&source, &index, &silent).is_ok());
+            });
+        }
+        bench("both_ways", &mut || {
+            for (source, target) in [(points, others), (others, points)] {
+                let index = NeighborIndex::new(target);
+                black_box(evaluate::nearest_distances(source, &index, &silent).is_ok());
+            }
         });
         bench("fuse", &mut || {
             let fused = fuse::fuse(

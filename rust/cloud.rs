@@ -6,6 +6,7 @@
 //! Absent on purpose: attributes, colours, files (they belong to the caller).
 
 use crate::error::{Error, Result};
+use crate::parallel;
 
 /// A point: x, y, z.
 pub type Point = [f64; 3];
@@ -80,15 +81,13 @@ impl Cloud {
     /// [`Error::CoordinateTooLarge`].
     pub fn of_any_shape(what: &str, points: &[Point]) -> Result<Self> {
         let finite = |p: &Point| p.iter().all(|v| v.is_finite());
-        let n_finite = points.iter().filter(|p| finite(p)).count();
-        let mut low = [f64::INFINITY; 3];
-        let mut high = [f64::NEG_INFINITY; 3];
-        for p in points.iter().filter(|p| finite(p)) {
-            for axis in 0..3 {
-                low[axis] = low[axis].min(p[axis]);
-                high[axis] = high[axis].max(p[axis]);
-            }
-        }
+        let parts = parallel::map_chunks(points, |part| {
+            let n_finite = part.iter().filter(|p| finite(p)).count();
+            (n_finite, corners(part.iter().filter(|p| finite(p))))
+        });
+        let n_finite: usize = parts.iter().map(|(n, _)| n).sum();
+        let (low, _) = corners(parts.iter().map(|(_, (low, _))| low));
+        let (_, high) = corners(parts.iter().map(|(_, (_, high))| high));
         for value in low.iter().chain(&high).filter(|_| n_finite > 0) {
             if value.abs() > MAX_COORDINATE {
                 return Err(Error::CoordinateTooLarge {
@@ -105,7 +104,7 @@ impl Cloud {
         };
         let local = |p: &Point| std::array::from_fn(|axis| p[axis] - origin[axis]);
         let (points_local, given_index) = if n_finite == points.len() {
-            (points.iter().map(local).collect(), None)
+            (parallel::map(points.len(), |i| local(&points[i])), None)
         } else {
             let kept = || points.iter().enumerate().filter(|(_, p)| finite(p));
             (
@@ -227,6 +226,14 @@ pub(crate) fn bounds(points: &[Point]) -> (Point, Point) {
     if points.is_empty() {
         return ([0.0; 3], [0.0; 3]);
     }
+    let parts = parallel::map_chunks(points, |part| corners(part.iter()));
+    let (low, _) = corners(parts.iter().map(|(low, _)| low));
+    let (_, high) = corners(parts.iter().map(|(_, high)| high));
+    (low, high)
+}
+
+/// Lower and upper corner of the box round `points`; at infinity where there are none.
+fn corners<'a>(points: impl Iterator<Item = &'a Point>) -> (Point, Point) {
     let mut low = [f64::INFINITY; 3];
     let mut high = [f64::NEG_INFINITY; 3];
     for p in points {

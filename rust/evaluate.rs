@@ -16,7 +16,7 @@ pub use surface::{DistanceMethod, surface_distances};
 
 use crate::cloud::Point;
 use crate::error::Result;
-use crate::neighbors::NeighborIndex;
+use crate::neighbors::{NeighborIndex, Places};
 use crate::parallel::CHUNK;
 use crate::progress::Progress;
 
@@ -38,8 +38,7 @@ pub fn nearest_distances(
     to: &NeighborIndex,
     progress: &Progress<'_>,
 ) -> Result<Vec<f64>> {
-    let nearest = to.nearest_all(from, progress)?;
-    Ok(nearest.iter().map(|n| n.distance_sq.sqrt()).collect())
+    to.distances_to(&Places::new(from), progress)
 }
 
 /// Distances summed up, in metres. Of signed ones the mean and the median keep the sign; best, worst
@@ -79,22 +78,19 @@ impl DistanceStatistics {
         }
         let n = distances_m.len() as f64;
         let mean_m = sum_of(distances_m, |d| d) / n;
-        let mut sorted = distances_m.to_vec();
-        sorted.sort_unstable_by(f64::total_cmp);
-        let median_m = quantile(&sorted, 0.5);
-        if sorted[0] < 0.0 {
-            sorted.iter_mut().for_each(|d| *d = d.abs());
-            sorted.sort_unstable_by(f64::total_cmp);
-        }
+        let mut values = distances_m.to_vec();
+        let median_m = quantile(&mut values, 0.5);
+        values.iter_mut().for_each(|d| *d = d.abs());
+        let percentile_95_m = quantile(&mut values, 0.95);
         Some(Self {
             n_points: distances_m.len(),
             mean_m,
-            best_m: sorted[0],
-            worst_m: sorted[sorted.len() - 1],
+            best_m: values.iter().copied().fold(f64::INFINITY, f64::min),
+            worst_m: values.iter().copied().fold(0.0, f64::max),
             std_m: (sum_of(distances_m, |d| (d - mean_m) * (d - mean_m)) / n).sqrt(),
             rms_m: (sum_of(distances_m, |d| d * d) / n).sqrt(),
             median_m,
-            percentile_95_m: quantile(&sorted, 0.95),
+            percentile_95_m,
         })
     }
 }
@@ -113,12 +109,17 @@ fn sum_of(values: &[f64], f: impl Fn(f64) -> f64) -> f64 {
     values.chunks(CHUNK).map(partial).sum()
 }
 
-/// Between the two values round the rank, in proportion.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let rank = share * (sorted.len() - 1) as f64;
-    let below = sorted[rank.floor() as usize];
-    let above = sorted[rank.ceil() as usize];
-    below + (above - below) * rank.fract()
+/// Between the two values round the rank, in proportion. Puts `values` in another order.
+fn quantile(values: &mut [f64], share: f64) -> f64 {
+    let rank = share * (values.len() - 1) as f64;
+    let (_, below, rest) = values.select_nth_unstable_by(rank.floor() as usize, f64::total_cmp);
+    // At the last rank there is nothing above.
+    let above = rest
+        .iter()
+        .copied()
+        .min_by(f64::total_cmp)
+        .unwrap_or(*below);
+    *below + (above - *below) * rank.fract()
 }
 
 #[cfg(test)]

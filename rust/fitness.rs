@@ -353,19 +353,22 @@ pub struct Support {
 }
 
 /// Looks at all points of `moving` that have a partner within `max_distance_m` at `pose`.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`].
 pub fn support(
     moving: &SurfaceCloud,
     fixed: &SurfaceCloud,
     pose: &Similarity,
     max_distance_m: f64,
-) -> Support {
+    progress: &Progress<'_>,
+) -> Result<Support> {
     let max_sq = max_distance_m * max_distance_m;
-    let points = moving.points();
-    let pairs = parallel::map(points.len(), |i| {
-        let moved = pose.apply(&points[i]);
-        Some((moved, fixed.index.nearest_within(&moved, max_sq)?))
-    });
-    let pairs: Vec<(Point, Neighbor)> = pairs.into_iter().flatten().collect();
+    let places = moving.index.places().moved(|p| pose.apply(p));
+    let partners = fixed.index.nearest_all_within(&places, max_sq, progress)?;
+    let pairs: Vec<(Point, Neighbor)> = (moving.points().iter().zip(partners))
+        .filter_map(|(p, partner)| Some((pose.apply(p), partner?)))
+        .collect();
     let n = pairs.len().max(1) as f64;
     let mut middle = [0.0; 3];
     for (p, _) in &pairs {
@@ -384,7 +387,7 @@ pub fn support(
         support.radius_m += distance_sq(p, &middle) / n;
     }
     support.radius_m = support.radius_m.sqrt();
-    support
+    Ok(support)
 }
 
 #[cfg(test)]
@@ -442,7 +445,9 @@ mod tests {
         let there = agree(&a, &b, &away, tolerance);
         assert_eq!((there.inlier_share, there.score()), (0.0, 0.0));
         assert!(there.misfit.is_nan());
-        let supported = |pose: Rigid| support(&a.cloud, &b.cloud, &pose.into(), 0.01);
+        let supported = |pose: Rigid| {
+            support(&a.cloud, &b.cloud, &pose.into(), 0.01, &Progress::silent()).unwrap()
+        };
         let here = supported(Rigid::identity());
         assert_eq!((here.n_inliers, here.inlier_rmse_m), (800, 0.0));
         assert_eq!(supported(away).n_inliers, 0);

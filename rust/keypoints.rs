@@ -9,7 +9,7 @@
 
 use crate::cloud::{Cloud, Point};
 use crate::error::{Error, Result, require_positive};
-use crate::neighbors::{Neighbor, NeighborIndex, map_places};
+use crate::neighbors::{Block, Collector, NeighborIndex, WIDTH, map_places, sum_of_squares};
 use crate::normals::Symmetric;
 use crate::progress::Progress;
 
@@ -97,10 +97,9 @@ pub fn detect(
         "max_ratio_third_to_second",
         options.max_ratio_third_to_second,
     )?;
-    let points = cloud.points();
-    let third = map_places(points, progress, Vec::new, |found, i| {
-        index.within(&points[i], radius_m, found);
-        let lambda = eigenvalues(&points[i], index.points(), found, radius_m, options)?;
+    let fresh = || Covariance::within(radius_m);
+    let third = index.map_collected(&index.places(), fresh, progress, |covariance| {
+        let lambda = covariance.eigenvalues(options.min_neighbors)?;
         is_keypoint(lambda, options).then_some(lambda[2])
     })?;
     let mut keypoints: Vec<(u32, f64)> = (0_u32..)
@@ -109,7 +108,7 @@ pub fn detect(
         .collect();
     if let Some(radius_m) = options.non_max_radius_m {
         let radius_m = require_positive("non_max_radius_m", radius_m)?;
-        keypoints = largest_within(points, &keypoints, radius_m, progress)?;
+        keypoints = largest_within(cloud.points(), &keypoints, radius_m, progress)?;
     }
     Ok(IssResult {
         indices: keypoints.into_iter().map(|(i, _)| i).collect(),
@@ -117,30 +116,75 @@ pub fn detect(
     })
 }
 
-/// λ1 ≥ λ2 ≥ λ3 of the weighted covariance round `p`, unless it has too few neighbours.
-fn eigenvalues(
-    p: &Point,
-    points: &[Point],
-    found: &[Neighbor],
-    radius_m: f64,
-    options: &IssOptions,
-) -> Option<[f64; 3]> {
-    let radius_sq = radius_m * radius_m;
-    let (mut covariance, mut weight_sum, mut n_neighbors) = (Symmetric::default(), 0.0, 0);
-    for neighbor in found {
-        if neighbor.distance_sq == 0.0 || neighbor.distance_sq >= radius_sq {
-            continue;
+/// The weighted covariance round a place, of two neighbours at a time.
+#[derive(Clone)]
+struct Covariance {
+    radius_sq: f64,
+    /// xx, yy, zz, yz, xz, xy.
+    products: [[f64; 2]; 6],
+    weights: [f64; 2],
+    n_neighbors: usize,
+}
+
+impl Covariance {
+    fn within(radius_m: f64) -> Self {
+        Self {
+            radius_sq: radius_m * radius_m,
+            products: [[0.0; 2]; 6],
+            weights: [0.0; 2],
+            n_neighbors: 0,
         }
-        let q = &points[neighbor.index as usize];
-        // Eq. (2)
-        let weight = 1.0 / neighbor.distance_sq.sqrt();
-        // Eq. (3)
-        covariance.add([p[0] - q[0], p[1] - q[1], p[2] - q[2]], weight);
-        weight_sum += weight;
-        n_neighbors += 1;
     }
-    (n_neighbors > 0 && n_neighbors >= options.min_neighbors)
-        .then(|| covariance.eigen().0.map(|lambda| lambda / weight_sum))
+
+    /// λ1 ≥ λ2 ≥ λ3, unless there are too few neighbours.
+    fn eigenvalues(&self, min_neighbors: usize) -> Option<[f64; 3]> {
+        if self.n_neighbors == 0 || self.n_neighbors < min_neighbors {
+            return None;
+        }
+        let weight = self.weights[0] + self.weights[1];
+        let [xx, yy, zz, yz, xz, xy] = self.products.map(|[a, b]| (a + b) / weight);
+        Some(Symmetric::new([xx, yy, zz], [yz, xz, xy]).eigenvalues())
+    }
+}
+
+impl Collector for Covariance {
+    #[inline(always)]
+    fn reach_sq(&self) -> f64 {
+        self.radius_sq
+    }
+
+    #[inline(always)]
+    fn take(&mut self, place: &Point, block: &Block, _: usize) -> bool {
+        let mut offsets = block.offsets(place);
+        let distances_sq = sum_of_squares(&offsets);
+        let mut weights = [0.0; WIDTH];
+        for lane in 0..WIDTH {
+            let is_neighbor = distances_sq[lane] > 0.0 && distances_sq[lane] < self.radius_sq;
+            // Eq. (2)
+            let weight = 1.0 / distances_sq[lane].sqrt();
+            weights[lane] = if is_neighbor { weight } else { 0.0 };
+            for axis in 0..3 {
+                // Points that fill up a block stand at infinity.
+                offsets[axis][lane] = if is_neighbor {
+                    offsets[axis][lane]
+                } else {
+                    0.0
+                };
+            }
+            self.n_neighbors += usize::from(is_neighbor);
+        }
+        // Eq. (3)
+        let axes = [[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]];
+        for (product, [a, b]) in self.products.iter_mut().zip(axes) {
+            for lane in 0..WIDTH {
+                product[lane % 2] += weights[lane] * offsets[a][lane] * offsets[b][lane];
+            }
+        }
+        for lane in 0..WIDTH {
+            self.weights[lane % 2] += weights[lane];
+        }
+        false
+    }
 }
 
 /// Eq. (4)
@@ -175,6 +219,7 @@ fn largest_within(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::neighbors::Places;
     use crate::random::Stream;
     use crate::rigid::Rigid;
     use nalgebra::{Matrix3, Vector3};
@@ -218,11 +263,17 @@ mod tests {
                 points.push(p);
             }
         }
-        let mut found = Vec::new();
         let index = NeighborIndex::new(&points);
-        index.within(&points[0], 5.0, &mut found);
         let options = IssOptions::default();
-        let lambda = eigenvalues(&points[0], &points, &found, 5.0, &options).unwrap();
+        let round_the_first = |radius_m| {
+            let lambda = |covariance: &Covariance| covariance.eigenvalues(options.min_neighbors);
+            let place = Places::new(&points[..1]);
+            let fresh = || Covariance::within(radius_m);
+            index
+                .map_collected(&place, fresh, &Progress::silent(), lambda)
+                .unwrap()[0]
+        };
+        let lambda = round_the_first(5.0).unwrap();
         for (got, wanted) in lambda.iter().zip([16.0 / 7.0, 8.0 / 7.0, 4.0 / 7.0]) {
             assert!((got - wanted).abs() < 1e-15);
         }
@@ -236,7 +287,7 @@ mod tests {
             assert!(!is_keypoint(lambda, &strict), "the limits are excluded");
         }
         // The rim is excluded: at radius 4 only four neighbours are left.
-        assert!(eigenvalues(&points[0], &points, &found, 4.0, &options).is_none());
+        assert_eq!(round_the_first(4.0), None);
     }
 
     #[test]

@@ -78,7 +78,7 @@ pub struct M3c2Change {
     /// The smallest change that is significant here: the level of detection, or the one in which
     /// neighbouring points, which err alike, count as one observation, whichever is larger; infinite
     /// where all points of a cloud are neighbours. Neighbours lie in the same sixth of the cylinder and
-    /// in the same slab of it, as thick as its radius.
+    /// in the same slab of it, about as thick as its radius.
     pub significant_from_m: f64,
     /// Standard deviation along the normal in the reference and in the compared cloud (n − 1).
     pub spread_m: (f64, f64),

@@ -11,7 +11,7 @@
 
 use crate::cloud::{Point, centroid};
 use crate::error::{Result, require_at_least, require_positive};
-use crate::neighbors::{Neighbor, NeighborIndex, map_places};
+use crate::neighbors::{NeighborIndex, Places};
 use crate::progress::Progress;
 
 /// Three points span a plane.
@@ -62,9 +62,7 @@ pub fn estimate(
     progress: &Progress<'_>,
 ) -> Result<Vec<Surface>> {
     require_at_least("k", k, LEAST_POINTS)?;
-    estimate_from(points, index, progress, |point, found| {
-        index.k_nearest(point, k, found);
-    })
+    index.map_k_nearest(&places(points, index), k, progress, surface_through)
 }
 
 /// The surface at each of `points` from the points of `index` within `radius_m` of it;
@@ -81,27 +79,21 @@ pub fn estimate_within(
     progress: &Progress<'_>,
 ) -> Result<Vec<Surface>> {
     require_positive("radius_m", radius_m)?;
-    estimate_from(points, index, progress, |point, found| {
-        index.within(point, radius_m, found);
+    index.map_within(&places(points, index), radius_m, progress, |found| {
         if found.len() < min_neighbors {
-            found.clear();
+            return Surface::NONE;
         }
+        surface_through(found)
     })
 }
 
-fn estimate_from(
-    points: &[Point],
-    index: &NeighborIndex,
-    progress: &Progress<'_>,
-    find: impl Fn(&Point, &mut Vec<Neighbor>) + Sync + Send,
-) -> Result<Vec<Surface>> {
-    let buffers = || (Vec::new(), Vec::new());
-    map_places(points, progress, buffers, |(found, neighbors), i| {
-        find(&points[i], found);
-        neighbors.clear();
-        neighbors.extend(found.iter().map(|n| index.points()[n.index as usize]));
-        surface_through(neighbors)
-    })
+/// The points of the index itself are sorted already.
+fn places(points: &[Point], index: &NeighborIndex) -> Places {
+    if std::ptr::eq(points, index.points()) {
+        index.places()
+    } else {
+        Places::new(points)
+    }
 }
 
 /// The plane of least squares through `points`.
@@ -142,6 +134,13 @@ pub(crate) struct Symmetric {
 }
 
 impl Symmetric {
+    pub(crate) fn new(diagonal: [f64; 3], off_diagonal: [f64; 3]) -> Self {
+        Self {
+            diagonal,
+            off_diagonal,
+        }
+    }
+
     /// Adds `weight`·v·vᵀ.
     #[inline]
     pub(crate) fn add(&mut self, v: Point, weight: f64) {
@@ -155,6 +154,17 @@ impl Symmetric {
     /// Eigenvalues in falling order, and the unit eigenvector of each. Exact to the rounding of the
     /// largest; the smallest may come out a trifle below zero.
     pub(crate) fn eigen(&self) -> ([f64; 3], [Point; 3]) {
+        self.turned_onto_axes::<true>()
+    }
+
+    /// Eigenvalues in falling order, as from [`Symmetric::eigen`].
+    pub(crate) fn eigenvalues(&self) -> [f64; 3] {
+        self.turned_onto_axes::<false>().0
+    }
+
+    /// The eigenvectors are left out unless `VECTORS`.
+    #[inline]
+    fn turned_onto_axes<const VECTORS: bool>(&self) -> ([f64; 3], [Point; 3]) {
         const MAX_SWEEPS: usize = 16;
         let (mut d, mut o) = (self.diagonal, self.off_diagonal);
         let mut vectors = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
@@ -168,10 +178,11 @@ impl Symmetric {
                 if o[r] == 0.0 {
                     continue;
                 }
-                // The turn in the plane of p and q that clears the element between them.
+                // The turn in the plane of p and q that clears the element between them. A cotangent too
+                // large to be squared stands for no turn at all.
                 let cotangent = (d[q] - d[p]) / (2.0 * o[r]);
-                let tangent =
-                    1.0_f64.copysign(cotangent) / (cotangent.abs() + cotangent.hypot(1.0));
+                let tangent = 1.0_f64.copysign(cotangent)
+                    / (cotangent.abs() + (cotangent * cotangent + 1.0).sqrt());
                 let cosine = 1.0 / (tangent * tangent + 1.0).sqrt();
                 let sine = tangent * cosine;
                 d[p] -= tangent * o[r];
@@ -179,9 +190,11 @@ impl Symmetric {
                 o[r] = 0.0;
                 // o[q] stands between r and p, o[p] between r and q.
                 (o[q], o[p]) = (cosine * o[q] - sine * o[p], sine * o[q] + cosine * o[p]);
-                let (a, b) = (vectors[p], vectors[q]);
-                vectors[p] = std::array::from_fn(|axis| cosine * a[axis] - sine * b[axis]);
-                vectors[q] = std::array::from_fn(|axis| sine * a[axis] + cosine * b[axis]);
+                if VECTORS {
+                    let (a, b) = (vectors[p], vectors[q]);
+                    vectors[p] = std::array::from_fn(|axis| cosine * a[axis] - sine * b[axis]);
+                    vectors[q] = std::array::from_fn(|axis| sine * a[axis] + cosine * b[axis]);
+                }
             }
         }
         let mut order = [0, 1, 2];
@@ -243,6 +256,7 @@ mod tests {
                 twin += weight * v * v.transpose();
             }
             let (lambda, vectors) = scatter.eigen();
+            assert_eq!(scatter.eigenvalues(), lambda);
             let mut wanted: Vec<f64> = SymmetricEigen::new(twin)
                 .eigenvalues
                 .iter()

@@ -9,7 +9,7 @@
 
 use crate::cloud::Cloud;
 use crate::error::{Error, Result, require_positive};
-use crate::neighbors::{NeighborIndex, map_places};
+use crate::neighbors::NeighborIndex;
 use crate::progress::Progress;
 use crate::spacing::nearest_spacing_quantile_m;
 
@@ -84,15 +84,10 @@ pub fn remove_outliers(
     };
     let points = cloud.points();
     let needed = options.min_neighbors.saturating_add(1); // the point itself is found as well
-    let keep = map_places(
-        points,
-        progress,
-        || (),
-        |(), i| index.count_within(&points[i], radius_m, needed) == needed,
-    )?;
+    let n_near = index.count_all_within(&index.places(), radius_m, needed, progress)?;
     let kept: Vec<u32> = (0_u32..)
-        .zip(&keep)
-        .filter_map(|(i, keep)| keep.then_some(i))
+        .zip(&n_near)
+        .filter_map(|(i, n)| (*n == needed).then_some(i))
         .collect();
     let kept_points = kept.iter().map(|&i| points[i as usize]).collect();
     Ok(OutlierResult {

@@ -43,6 +43,14 @@ pub(crate) fn chunks<T: Send>(
         .collect()
 }
 
+/// `f` of every chunk of [`CHUNK`] items, in order.
+pub(crate) fn map_chunks<T: Sync, R: Send>(
+    items: &[T],
+    f: impl Fn(&[T]) -> R + Sync + Send,
+) -> Vec<R> {
+    items.par_chunks(CHUNK).map(f).collect()
+}
+
 /// Runs `f` on every chunk of `chunk` items of `data` (with the number of the chunk), in parallel.
 pub(crate) fn for_each_chunk<T: Send>(
     data: &mut [T],

@@ -16,7 +16,7 @@ use crate::coarse::CoarseResult;
 use crate::config::{Config, Mode};
 use crate::deadline::Deadline;
 use crate::error::{Error, Result};
-use crate::evaluate::{DistanceStatistics, nearest_distances, share_within};
+use crate::evaluate::{DistanceStatistics, share_within};
 use crate::fitness::{self, Tolerance, agreement};
 use crate::freedom::Freedom;
 use crate::icp::{Clouds, IcpResult, IcpStop, icp};
@@ -196,13 +196,20 @@ fn route(
     } else {
         (coarse_pose, before, None)
     };
-    let support = fitness::support(source_surface, target_surface, &pose, max_distance_m);
+    let support = fitness::support(
+        source_surface,
+        target_surface,
+        &pose,
+        max_distance_m,
+        progress,
+    )?;
     let support_back = fitness::support(
         target_surface,
         source_surface,
         &pose.inverse(),
         max_distance_m / pose.scale,
-    );
+        progress,
+    )?;
     let held_out = held_out_ratio(&prepared, &pose, max_distance_m);
     let strength = Strength::new(
         &support.planes.information(),
@@ -254,8 +261,8 @@ fn route(
     let (source_pivot, target_pivot) = (prepared.source_pivot(), prepared.target_pivot());
     let about_pivots = prepared.about_pivots(&pose);
     let (source_to_target, target_to_source) = distances(
-        (source, &source_index),
-        (target, &target_index),
+        &source_index,
+        &target_index,
         &target_from_source.between_local_coordinates(source.origin(), target.origin()),
         progress,
     )?;
@@ -367,20 +374,16 @@ fn is_at_bound(scale: f64, [low, high]: &[f64; 2]) -> bool {
 
 /// From every point of each cloud to the nearest of the other: source to target, and back.
 fn distances(
-    (source, source_index): (&Cloud, &NeighborIndex),
-    (target, target_index): (&Cloud, &NeighborIndex),
+    source: &NeighborIndex,
+    target: &NeighborIndex,
     target_from_source: &Similarity,
     progress: &Progress<'_>,
 ) -> Result<(Vec<f64>, Vec<f64>)> {
-    let moved = |cloud: &Cloud, pose: &Similarity| {
-        parallel::map_cheap(cloud.len(), progress, |i| pose.apply(&cloud.points()[i]))
-    };
     let source_from_target = target_from_source.inverse();
-    let (forth, back) = parallel::both(
-        || nearest_distances(&moved(source, target_from_source)?, target_index, progress),
-        || nearest_distances(&moved(target, &source_from_target)?, source_index, progress),
-    );
-    let (forth, back) = (forth?, back?);
+    let forth = source.places().moved(|p| target_from_source.apply(p));
+    let forth = target.distances_to(&forth, progress)?;
+    let back = target.places().moved(|p| source_from_target.apply(p));
+    let back = source.distances_to(&back, progress)?;
     // Both are told in the target's unit.
     let scale = target_from_source.scale;
     let back = match scale {

@@ -40,7 +40,7 @@ impl SurfaceCloud {
             .map(|i| std::array::from_fn(|axis| cloud.points()[i][axis] - middle[axis]))
             .collect();
         let index = NeighborIndex::new(&points);
-        let surfaces = normals::estimate(&points, &index, N_NORMAL_NEIGHBORS, progress)?;
+        let surfaces = normals::estimate(index.points(), &index, N_NORMAL_NEIGHBORS, progress)?;
         let (low, high) = bounds(&points);
         Ok(Self {
             origin: std::array::from_fn(|axis| cloud.origin()[axis] + middle[axis]),

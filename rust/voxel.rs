@@ -12,7 +12,7 @@ use crate::error::{Error, Result, require_positive};
 use crate::parallel;
 use crate::progress::Progress;
 
-/// Bits of a voxel's number along one axis; three of them share a word.
+/// Bits of a voxel's number along one axis: three of them fit a word.
 const AXIS_BITS: u32 = 20;
 
 /// How finely a cloud is thinned.
@@ -65,15 +65,27 @@ pub fn downsample(
     progress: &Progress<'_>,
 ) -> Result<VoxelResult> {
     require_positive("voxel_size_m", voxel_size_m)?;
-    let low = lower_corner(cloud, voxel_size_m)?;
+    let grid = Grid::of(cloud, voxel_size_m)?;
+    // A number and an index in one word where they fit: half the memory to sort.
+    if grid.n_voxels() <= 1 << u32::BITS {
+        centroids::<u64>(cloud, &grid, progress)
+    } else {
+        centroids::<u128>(cloud, &grid, progress)
+    }
+}
+
+fn centroids<M: Member>(
+    cloud: &Cloud,
+    grid: &Grid,
+    progress: &Progress<'_>,
+) -> Result<VoxelResult> {
     let points = cloud.points();
     // The index second: points of one voxel keep the order in which they came.
-    let mut members = parallel::map_cheap(points.len(), progress, |i| {
-        (voxel_key(&points[i], &low, voxel_size_m), i as u32)
-    })?;
+    let mut members: Vec<M> =
+        parallel::map(points.len(), |i| M::new(grid.number(&points[i]), i as u32));
     progress.check()?;
     parallel::sort_unstable(&mut members);
-    let voxels: Vec<&[(u64, u32)]> = members.chunk_by(|a, b| a.0 == b.0).collect();
+    let voxels: Vec<&[M]> = members.chunk_by(|a, b| a.voxel() == b.voxel()).collect();
     let centroids = parallel::map_cheap(voxels.len(), progress, |i| centroid(points, voxels[i]))?;
     Ok(VoxelResult {
         cloud: Cloud::from_local(cloud.origin(), centroids),
@@ -81,37 +93,85 @@ pub fn downsample(
     })
 }
 
-/// Where the grid stands, once it is sure that its voxels can be numbered.
-fn lower_corner(cloud: &Cloud, voxel_size_m: f64) -> Result<Point> {
-    let (low, high) = cloud.bounds();
-    let extent_m = (0..3).fold(0.0, |longest: f64, axis| {
-        longest.max(high[axis] - low[axis])
-    });
-    let max_voxels = f64::from(1 << AXIS_BITS);
-    if extent_m / voxel_size_m >= max_voxels {
-        return Err(Error::VoxelTooSmall {
-            voxel_size_m,
-            extent_m,
-            smallest_m: extent_m / (max_voxels - 1.0),
-        });
-    }
-    Ok(low)
+/// A point as a member of its voxel; sorted by voxel, then index.
+trait Member: Ord + Copy + Send + Sync {
+    fn new(voxel: u64, index: u32) -> Self;
+    fn voxel(self) -> u64;
+    fn index(self) -> usize;
 }
 
-/// The number of the voxel round `p`, with z in the highest bits.
-#[inline]
-fn voxel_key(p: &Point, low: &Point, voxel_size_m: f64) -> u64 {
-    (0..3).rev().fold(0, |key, axis| {
-        let cell = ((p[axis] - low[axis]) / voxel_size_m) as u64;
-        (key << AXIS_BITS) | cell
-    })
+/// For voxels whose numbers have 32 bits.
+impl Member for u64 {
+    fn new(voxel: u64, index: u32) -> Self {
+        (voxel << u32::BITS) | Self::from(index)
+    }
+    fn voxel(self) -> u64 {
+        self >> u32::BITS
+    }
+    fn index(self) -> usize {
+        self as u32 as usize
+    }
+}
+
+impl Member for u128 {
+    fn new(voxel: u64, index: u32) -> Self {
+        (Self::from(voxel) << u32::BITS) | Self::from(index)
+    }
+    fn voxel(self) -> u64 {
+        (self >> u32::BITS) as u64
+    }
+    fn index(self) -> usize {
+        self as u32 as usize
+    }
+}
+
+/// Voxels that stand on the lower corner of a cloud's box.
+struct Grid {
+    low: Point,
+    voxel_size_m: f64,
+    /// How many voxels along each axis.
+    n_along: [u64; 3],
+}
+
+impl Grid {
+    fn of(cloud: &Cloud, voxel_size_m: f64) -> Result<Self> {
+        let (low, high) = cloud.bounds();
+        let side = |axis: usize| high[axis] - low[axis];
+        let extent_m = side(0).max(side(1)).max(side(2));
+        let max_voxels = f64::from(1 << AXIS_BITS);
+        if extent_m / voxel_size_m >= max_voxels {
+            return Err(Error::VoxelTooSmall {
+                voxel_size_m,
+                extent_m,
+                smallest_m: extent_m / (max_voxels - 1.0),
+            });
+        }
+        Ok(Self {
+            low,
+            voxel_size_m,
+            n_along: std::array::from_fn(|axis| (side(axis) / voxel_size_m) as u64 + 1),
+        })
+    }
+
+    fn n_voxels(&self) -> u64 {
+        self.n_along.iter().product()
+    }
+
+    /// The number of the voxel round `p`: x counts fastest, z slowest.
+    #[inline]
+    fn number(&self, p: &Point) -> u64 {
+        (0..3).rev().fold(0, |number, axis| {
+            let cell = ((p[axis] - self.low[axis]) / self.voxel_size_m) as u64;
+            number * self.n_along[axis] + cell
+        })
+    }
 }
 
 /// Mean of the points of one voxel, summed in the order in which they came.
-fn centroid(points: &[Point], voxel: &[(u64, u32)]) -> Point {
+fn centroid(points: &[Point], voxel: &[impl Member]) -> Point {
     let mut sum = [0.0; 3];
-    for (_, i) in voxel {
-        let p = &points[*i as usize];
+    for member in voxel {
+        let p = &points[member.index()];
         for axis in 0..3 {
             sum[axis] += p[axis];
         }

@@ -9,7 +9,7 @@
 
 use crate::cloud::{Point, centroid, distance_sq};
 use crate::error::{Result, require_at_least};
-use crate::neighbors::{Neighbor, NeighborIndex, map_places};
+use crate::neighbors::{Neighbor, NeighborIndex, Places, map_places};
 use crate::normals::Symmetric;
 use crate::progress::Progress;
 
@@ -74,10 +74,10 @@ pub fn surface_distances(
             height_above(p, round)
         });
     }
-    let nearest = to.nearest_all(from, progress)?;
     if method == DistanceMethod::Nearest {
-        return Ok(nearest.iter().map(|n| n.distance_sq.sqrt()).collect());
+        return to.distances_to(&Places::new(from), progress);
     }
+    let nearest = to.nearest_all(from, progress)?;
     let buffers = || (Vec::new(), Vec::new());
     map_places(from, progress, buffers, |(found, round), i| {
         let foot = &to.points()[nearest[i].index as usize];

@@ -22,9 +22,10 @@ use crate::cloud::{Point, distance_sq};
 use crate::error::{Error, Result};
 use crate::freedom::Freedom;
 use crate::kabsch::PairSums;
-use crate::neighbors::NeighborIndex;
+use crate::neighbors::{NeighborIndex, Places};
 use crate::normals::Surface;
 use crate::observations::LocalObservations;
+use crate::parallel;
 use crate::point_to_plane::ScaledPlaneSums;
 use crate::progress::{Event, Progress, Stage};
 use crate::rigid::Rigid;
@@ -159,6 +160,20 @@ pub fn icp(
     options.check()?;
     let method = options.method.unwrap_or(IcpMethod::PointToPoint);
     clouds.check(method)?;
+    // Neighbours one after the other find their partners together.
+    let order = Places::new(clouds.source);
+    let source: Vec<Point> = (0..order.len()).map(|at| *order.point(at)).collect();
+    let source_surfaces = match clouds.source_surfaces {
+        [] => Vec::new(),
+        surfaces => (0..order.len())
+            .map(|at| surfaces[order.given(at)])
+            .collect(),
+    };
+    let clouds = &Clouds {
+        source: &source,
+        source_surfaces: &source_surfaces,
+        ..*clouds
+    };
     let mut fine = Refinement {
         clouds,
         freedom,
@@ -258,7 +273,7 @@ impl Refinement<'_> {
     fn step(&mut self, pose: &Similarity, progress: &Progress<'_>) -> Result<Option<Step>> {
         let is_plain = self.options.kernel_of(self.method) == IcpKernel::LeastSquares;
         if self.method == IcpMethod::PointToPoint && is_plain && self.known.is_empty() {
-            return Ok(self.step_in_closed_form(pose));
+            return self.step_in_closed_form(pose, progress);
         }
         if !is_plain && self.limit_sq.is_infinite() {
             let first = self.pass(pose).gather(progress)?;
@@ -295,8 +310,12 @@ impl Refinement<'_> {
     }
 
     /// Eq. (8): the pose with the least mean squared distance between the pairs.
-    fn step_in_closed_form(&self, pose: &Similarity) -> Option<Step> {
-        let (source, targets) = (self.clouds.source, self.clouds.target.points());
+    fn step_in_closed_form(
+        &self,
+        pose: &Similarity,
+        progress: &Progress<'_>,
+    ) -> Result<Option<Step>> {
+        let source = self.clouds.source;
         // What is not free is done to the points beforehand.
         let fixed = match self.freedom {
             Freedom::Levelled => *pose,
@@ -306,25 +325,34 @@ impl Refinement<'_> {
             },
             Freedom::Similarity => Similarity::identity(),
         };
+        let chunks = parallel::chunks(source.len(), progress, |range| {
+            let mut sums = PairSums::default();
+            for (i, partner) in self.pairs.places_within(range) {
+                sums.add(&fixed.apply(&source[i]), partner, 1.0);
+            }
+            sums
+        })?;
         let mut sums = PairSums::default();
-        for (i, j) in self.pairs.kept() {
-            sums.add(&fixed.apply(&source[i]), &targets[j], 1.0);
-        }
+        chunks.iter().for_each(|chunk| sums.merge(chunk));
         let found = match self.freedom {
-            Freedom::Levelled => sums.solve_levelled()?.into(),
-            Freedom::Rigid => sums.solve()?.into(),
-            Freedom::Similarity => sums.solve_similarity()?,
+            Freedom::Levelled => sums.solve_levelled().map(Similarity::from),
+            Freedom::Rigid => sums.solve().map(Similarity::from),
+            Freedom::Similarity => sums.solve_similarity(),
+        };
+        let Some(found) = found else {
+            return Ok(None);
         };
         let pose = found * fixed;
-        let squared = self
-            .pairs
-            .kept()
-            .map(|(i, j)| distance_sq(&pose.apply(&source[i]), &targets[j]))
-            .sum::<f64>();
-        Some(Step {
+        let chunks = parallel::chunks(source.len(), progress, |range| {
+            let pairs = self.pairs.places_within(range);
+            pairs
+                .map(|(i, partner)| distance_sq(&pose.apply(&source[i]), partner))
+                .sum::<f64>()
+        })?;
+        Ok(Some(Step {
             pose,
-            mean_squared: squared / self.pairs.n_kept as f64,
-        })
+            mean_squared: chunks.iter().sum::<f64>() / self.pairs.n_kept as f64,
+        }))
     }
 
     /// Settles once for all iterations what steps turn about and what they must not do.

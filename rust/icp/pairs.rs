@@ -1,21 +1,21 @@
 //! The partner of every source point, and which pairs count.
 
+use std::ops::Range;
+
 use super::sizes::Sizes;
-use crate::cloud::{Point, distance_sq};
+use crate::cloud::Point;
 use crate::error::Result;
-use crate::neighbors::NeighborIndex;
-use crate::parallel;
+use crate::neighbors::{Follower, NeighborIndex};
 use crate::progress::Progress;
 use crate::similarity::Similarity;
 
-const NOBODY: (u32, f64) = (u32::MAX, f64::INFINITY);
-
 /// The partner of every source point at a pose. Found anew for each pose in the same memory.
 pub(super) struct Pairs {
-    /// (target index, squared distance); an index of `u32::MAX` stands for "nobody near".
-    partners: Vec<(u32, f64)>,
+    followers: Vec<Follower>,
     /// Squared distances, to be put in order.
     distances: Vec<f64>,
+    /// Squared distance beyond which there are no partners.
+    limit_sq: f64,
     /// Pairs with a squared distance up to this one count.
     max_sq: f64,
     pub(super) n_kept: usize,
@@ -24,8 +24,9 @@ pub(super) struct Pairs {
 impl Pairs {
     pub(super) fn of(n_source: usize) -> Self {
         Self {
-            partners: vec![NOBODY; n_source],
+            followers: vec![Follower::NEW; n_source],
             distances: Vec::with_capacity(n_source),
+            limit_sq: f64::INFINITY,
             max_sq: f64::NEG_INFINITY,
             n_kept: 0,
         }
@@ -42,28 +43,10 @@ impl Pairs {
         kept_share: Option<f64>,
         progress: &Progress<'_>,
     ) -> Result<()> {
-        let limit_sq = max_distance_m.map_or(f64::INFINITY, |m| m * m);
-        parallel::for_each_chunk(&mut self.partners, parallel::CHUNK, |chunk, partners| {
-            if progress.check().is_err() {
-                return;
-            }
-            for (partner, p) in partners.iter_mut().zip(&source[chunk * parallel::CHUNK..]) {
-                let moved = pose.apply(p);
-                // The partner of the pose before is near this one too: nobody farther is asked.
-                let known_sq = target
-                    .points()
-                    .get(partner.0 as usize)
-                    .map_or(f64::INFINITY, |known| distance_sq(known, &moved));
-                let bound_sq = limit_sq.min(known_sq);
-                let found = if bound_sq.is_finite() {
-                    target.nearest_within(&moved, bound_sq)
-                } else {
-                    target.nearest(&moved)
-                };
-                *partner = found.map_or(NOBODY, |n| (n.index, n.distance_sq));
-            }
-        });
-        progress.check()?;
+        let reach_m = max_distance_m.unwrap_or(f64::INFINITY);
+        self.limit_sq = reach_m * reach_m;
+        let moved = |i: usize| pose.apply(&source[i]);
+        target.follow(&mut self.followers, moved, reach_m, progress)?;
         self.max_sq = match kept_share {
             Some(share) => self.limit_of_share(share),
             None => self.limit_of_overlap(),
@@ -72,10 +55,17 @@ impl Pairs {
         Ok(())
     }
 
+    /// Squared distances of all pairs.
+    fn all_sq(&self) -> impl Iterator<Item = f64> {
+        let found = self.followers.iter().filter_map(Follower::found);
+        found.map(|(_, sq)| sq).filter(|sq| *sq <= self.limit_sq)
+    }
+
     fn limit_of_share(&mut self, share: f64) -> f64 {
-        let found = self.partners.iter().map(|pair| pair.1);
-        self.distances.clear();
-        self.distances.extend(found.filter(|d| d.is_finite()));
+        let mut distances = std::mem::take(&mut self.distances);
+        distances.clear();
+        distances.extend(self.all_sq());
+        self.distances = distances;
         let n_kept = (self.distances.len() as f64 * share).ceil() as usize;
         match n_kept {
             0 => f64::NEG_INFINITY,
@@ -90,15 +80,9 @@ impl Pairs {
     }
 
     fn limit_of_overlap(&self) -> f64 {
-        let found = || {
-            self.partners
-                .iter()
-                .map(|pair| pair.1)
-                .filter(|d| d.is_finite())
-        };
-        let mut sizes = Sizes::up_to(found().fold(0.0, f64::max));
-        found().for_each(|distance_sq| sizes.add(distance_sq));
-        sizes.limit_of_overlap(self.partners.len())
+        let mut sizes = Sizes::up_to(self.all_sq().fold(0.0, f64::max));
+        self.all_sq().for_each(|distance_sq| sizes.add(distance_sq));
+        sizes.limit_of_overlap(self.followers.len())
     }
 
     /// The largest squared distance of a pair that counts.
@@ -108,23 +92,35 @@ impl Pairs {
 
     /// (source index, target index) of the pairs that count.
     pub(super) fn kept(&self) -> impl Iterator<Item = (usize, usize)> {
-        self.kept_within(0..self.partners.len())
+        self.kept_within(0..self.followers.len())
     }
 
     /// The same of some of the source points.
-    pub(super) fn kept_within(
+    pub(super) fn kept_within(&self, range: Range<usize>) -> impl Iterator<Item = (usize, usize)> {
+        let followers = self.followers_within(range);
+        followers.filter_map(|(i, follower)| Some((i, follower.found()?.0 as usize)))
+    }
+
+    /// (source index, where its partner stands) of some of the pairs that count.
+    pub(super) fn places_within(
         &self,
-        range: std::ops::Range<usize>,
-    ) -> impl Iterator<Item = (usize, usize)> {
-        let counted = |(i, pair): (usize, &(u32, f64))| {
-            (pair.1 <= self.max_sq).then_some((i, pair.0 as usize))
-        };
-        range.clone().zip(&self.partners[range]).filter_map(counted)
+        range: Range<usize>,
+    ) -> impl Iterator<Item = (usize, &Point)> {
+        self.followers_within(range)
+            .map(|(i, follower)| (i, follower.nearest()))
+    }
+
+    fn followers_within(&self, range: Range<usize>) -> impl Iterator<Item = (usize, &Follower)> {
+        let max_sq = self.max_sq.min(self.limit_sq);
+        let counts =
+            move |follower: &Follower| follower.found().is_some_and(|(_, sq)| sq <= max_sq);
+        let followers = range.clone().zip(&self.followers[range]);
+        followers.filter(move |(_, follower)| counts(follower))
     }
 
     fn distances_sq(&self) -> impl Iterator<Item = f64> {
-        let all = self.partners.iter().map(|pair| pair.1);
-        all.filter(|distance_sq| *distance_sq <= self.max_sq)
+        self.all_sq()
+            .filter(|distance_sq| *distance_sq <= self.max_sq)
     }
 
     /// Root mean squared distance of the pairs that count.

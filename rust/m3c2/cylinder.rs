@@ -3,8 +3,9 @@
 
 use crate::cloud::Point;
 
-/// A cylinder is cut into slabs as thick as its radius, but into no more than this.
-const MAX_SLABS: f64 = 64.0;
+/// A cylinder is cut into slabs about as thick as its radius, the core in the middle one, but into no
+/// more to either side than this.
+const MAX_SLABS_BESIDE: f64 = 32.0;
 
 /// Each slab is cut into sixths, told by the sides of three lines on which a point lies.
 const SIDES: usize = 8;
@@ -38,7 +39,8 @@ struct Part {
 
 impl Along {
     pub(super) fn new(across: [Point; 2], radius_m: f64, depth_m: f64) -> Self {
-        let n_slabs = (2.0 * depth_m / radius_m).ceil().clamp(1.0, MAX_SLABS);
+        let n_beside = (depth_m / radius_m).round().min(MAX_SLABS_BESIDE);
+        let n_slabs = 2.0 * n_beside + 1.0; // odd: a surface through the core lies in one
         Self {
             across,
             depth_m,
@@ -165,11 +167,11 @@ mod tests {
     fn clusters_by_hand() {
         let empty = || Along::new(across(&[0.0, 0.0, 1.0]), 4.0, 4.0);
         let mut along = empty();
-        // Two points in one sixth, one in another: the mean is 2, the parts pull by −1 and 1.
-        for (t, x) in [(1.0, 0.5), (2.0, 0.6), (3.0, -0.5)] {
+        // Two points in one sixth, one in another: the mean is 0, the parts pull by −1 and 1.
+        for (t, x) in [(-1.0, 0.5), (0.0, 0.6), (1.0, -0.5)] {
             along.add(t, &[x, 0.1, t]);
         }
-        assert_eq!((along.mean(), along.variance()), (2.0, 1.0));
+        assert_eq!((along.mean(), along.variance()), (0.0, 1.0));
         let (variance, dof) = along.clustered_variance().unwrap();
         assert!((variance - 2.0 / 9.0 * 2.0).abs() < 1e-15);
         assert_eq!(dof, 1.0);
@@ -179,11 +181,14 @@ mod tests {
         let mut lone = empty();
         lone.add(1.0, &[0.5, 0.1, 1.0]);
         assert_eq!(clustered_half_width(&along, &lone), f64::INFINITY);
-        // The other side of the core is another slab, the rims belong to the last ones.
+        // Three slabs: what lies 1.4 below the core is in another one, the rim in the last.
         lone.add(-1.0, &[0.5, 0.1, -1.0]);
-        assert!(lone.clustered_variance().is_some());
+        assert!(lone.clustered_variance().is_none());
+        lone.add(-1.4, &[0.5, 0.1, -1.4]);
+        assert_eq!(lone.clustered_variance().unwrap().1, 1.0);
         lone.add(4.0, &[0.5, 0.1, 4.0]);
-        assert_eq!(lone.n(), 3);
+        assert_eq!(lone.clustered_variance().unwrap().1, 2.0);
+        assert_eq!(lone.n(), 4);
         for axis in [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [1.0, 0.0, 0.0]] {
             let [x, y] = across(&axis);
             for (a, b, wanted) in [

@@ -1,7 +1,7 @@
 //! kiddo's tree, the general engine for the nearest point. The only file that names kiddo.
 //!
 //! Its answers near a cloud that fills space are as quick as any; for flat clouds, piles of coincident
-//! points and places far outside it is 2 to 70 times slower than our own tree (`tree.rs`), which
+//! points and places far outside it is 2 to 70 times slower than our own tree (`blocks.rs`), which
 //! therefore answers those.
 
 use kiddo::SquaredEuclidean;
@@ -26,17 +26,16 @@ impl std::fmt::Debug for General {
 }
 
 impl General {
-    /// `None` where the cloud is flat along an axis, has a pile of more than `largest_pile` points
-    /// that kiddo would search one by one, or cannot be sorted by kiddo.
-    pub(super) fn new(points: &[Point], largest_pile: usize) -> Option<Self> {
+    /// `None` where the cloud is flat along an axis, has piles of coincident points, which kiddo would
+    /// search one by one, or cannot be sorted by kiddo.
+    pub(super) fn new(points: &[Point], has_piles: bool) -> Option<Self> {
         /// kiddo halves its axes in turn: what a flat axis wastes is slight down to this ratio.
         const FLATTEST: f64 = 1e-3;
-        const LARGEST_PILE: usize = 16;
         let (low, high) = bounds(points);
         let sides: [f64; 3] = std::array::from_fn(|axis| high[axis] - low[axis]);
         let longest = sides.iter().copied().fold(0.0, f64::max);
         let fills_space = sides.iter().all(|side| *side > FLATTEST * longest);
-        if !fills_space || largest_pile > LARGEST_PILE {
+        if !fills_space || has_piles {
             return None;
         }
         let tree = kiddo::ImmutableKdTree::new_from_slice(points).ok()?;

@@ -34,12 +34,7 @@ pub fn evaluate(
         .between_local_coordinates(source.origin(), target.origin());
     let source_index = NeighborIndex::new(source.points());
     let target_index = NeighborIndex::new(target.points());
-    let (forth, back) = distances(
-        (&source, &source_index),
-        (&target, &target_index),
-        &local,
-        progress,
-    )?;
+    let (forth, back) = distances(&source_index, &target_index, &local, progress)?;
     Ok(Evaluation {
         source_to_target_m: forth,
         target_to_source_m: back,

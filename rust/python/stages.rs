@@ -111,7 +111,7 @@ pub(super) fn estimate_normals<'py>(
         let cloud = Cloud::of_any_shape("cloud", given)?;
         let index = NeighborIndex::new(cloud.points());
         let n_neighbors = n_neighbors.unwrap_or(N_NORMAL_NEIGHBORS);
-        let surfaces = normals::estimate(cloud.points(), &index, n_neighbors, progress)
+        let surfaces = normals::estimate(index.points(), &index, n_neighbors, progress)
             .map_err(as_argument)?;
         let unknown = Surface {
             normal: [f64::NAN; 3],
@@ -151,8 +151,8 @@ pub(super) fn icp<'py>(
         if options.method.unwrap_or(IcpMethod::PointToPoint) != IcpMethod::PointToPoint {
             let k = N_NORMAL_NEIGHBORS;
             let of_source = NeighborIndex::new(source.points());
-            source_surfaces = normals::estimate(source.points(), &of_source, k, progress)?;
-            target_surfaces = normals::estimate(target.points(), &index, k, progress)?;
+            source_surfaces = normals::estimate(of_source.points(), &of_source, k, progress)?;
+            target_surfaces = normals::estimate(index.points(), &index, k, progress)?;
         }
         let clouds = fine::Clouds {
             source: source.points(),

@@ -2,20 +2,20 @@
 //!
 //! Why: sums over thousands of points need neither a list nor an order; and a cylinder that is long
 //! and thin would need many balls.
-//! Source: the tree of `neighbors/tree.rs`; a box is passed by where the plane across the shortest way
+//! Source: the tree of `neighbors/blocks.rs`; a box is passed by where the plane across the shortest way
 //! from the axis to its middle stands between (Gottschalk, Lin & Manocha 1996, separating axes).
 //! Deviates: nowhere; points of the boxes that are left are tested one by one.
 
-use super::{Node, Tree};
+use super::{Block, Blocks, Node, WIDTH, greater, sum_of_squares};
 use crate::cloud::Point;
 use crate::neighbors::NeighborIndex;
 
 /// A part of space.
 trait Region {
-    /// False only where no point of the box lies inside.
-    fn may_meet(&self, low: &Point, high: &Point) -> bool;
-    /// Takes note of a point, if it lies inside.
-    fn offer(&mut self, point: &Point);
+    /// A bit for each child that may hold a point inside; none for the empty ones, at infinity.
+    fn lanes_that_may_meet(&self, node: &Node) -> u32;
+    /// Takes note of the points of a block that lie inside; those at infinity do not.
+    fn take(&mut self, block: &Block);
 }
 
 struct Ball<'a, F> {
@@ -26,24 +26,26 @@ struct Ball<'a, F> {
 
 impl<F: FnMut(Point, f64)> Region for Ball<'_, F> {
     #[inline]
-    fn may_meet(&self, low: &Point, high: &Point) -> bool {
-        let mut distance_sq = 0.0;
+    fn lanes_that_may_meet(&self, node: &Node) -> u32 {
+        let mut gaps = [[0.0; WIDTH]; 3];
         for axis in 0..3 {
-            let gap = (low[axis] - self.centre[axis])
-                .max(self.centre[axis] - high[axis])
-                .max(0.0);
-            distance_sq += gap * gap;
+            for lane in 0..WIDTH {
+                let below = node.low[axis][lane] - self.centre[axis];
+                let above = self.centre[axis] - node.high[axis][lane];
+                gaps[axis][lane] = greater(greater(below, above), 0.0);
+            }
         }
-        distance_sq <= self.radius_sq
+        let gaps_sq = sum_of_squares(&gaps);
+        bits(|lane| gaps_sq[lane] <= self.radius_sq)
     }
 
     #[inline]
-    fn offer(&mut self, point: &Point) {
-        let offset = minus(point, self.centre);
-        let distance_sq = dot(&offset, &offset);
-        if distance_sq <= self.radius_sq {
-            (self.found)(offset, distance_sq);
-        }
+    fn take(&mut self, block: &Block) {
+        let offsets = block.offsets(self.centre);
+        let distances_sq = sum_of_squares(&offsets);
+        for_each_bit(bits(|lane| distances_sq[lane] <= self.radius_sq), |lane| {
+            (self.found)(offsets.map(|along| along[lane]), distances_sq[lane]);
+        });
     }
 }
 
@@ -57,38 +59,66 @@ struct Cylinder<'a, F> {
 
 impl<F: FnMut(f64, Point)> Region for Cylinder<'_, F> {
     #[inline]
-    fn may_meet(&self, low: &Point, high: &Point) -> bool {
-        let half: Point = std::array::from_fn(|axis| 0.5 * (high[axis] - low[axis]));
-        let middle: Point = std::array::from_fn(|axis| low[axis] + half[axis] - self.centre[axis]);
-        let along = dot(&middle, self.axis);
-        let reach = half[0] * self.axis[0].abs()
-            + half[1] * self.axis[1].abs()
-            + half[2] * self.axis[2].abs();
-        if along.abs() > self.half_length_m + reach {
-            return false;
+    fn lanes_that_may_meet(&self, node: &Node) -> u32 {
+        let n = self.axis;
+        let (mut half, mut middle) = ([[0.0; WIDTH]; 3], [[0.0; WIDTH]; 3]);
+        for axis in 0..3 {
+            for lane in 0..WIDTH {
+                half[axis][lane] = 0.5 * (node.high[axis][lane] - node.low[axis][lane]);
+                middle[axis][lane] = node.low[axis][lane] + half[axis][lane] - self.centre[axis];
+            }
         }
-        // Seen from the axis the box begins `gap` along the way to its middle, `across` away.
-        let across: Point = std::array::from_fn(|axis| middle[axis] - along * self.axis[axis]);
-        let across_sq = dot(&across, &across);
-        let gap_times_across = across_sq
-            - half[0] * across[0].abs()
-            - half[1] * across[1].abs()
-            - half[2] * across[2].abs();
         // Rounding must not lose a box that only touches.
-        gap_times_across <= 0.0
-            || gap_times_across * gap_times_across
-                <= self.radius_m * self.radius_m * across_sq * (1.0 + 1e-9)
+        let radius_sq = self.radius_m * self.radius_m * (1.0 + 1e-9);
+        bits(|lane| {
+            let (h, m): (Point, Point) = (half.map(|v| v[lane]), middle.map(|v| v[lane]));
+            let along = dot(&m, n);
+            let reach = h[0] * n[0].abs() + h[1] * n[1].abs() + h[2] * n[2].abs();
+            // Seen from the axis the box begins `gap` along the way to its middle, `across` away.
+            let across: Point = std::array::from_fn(|axis| m[axis] - along * n[axis]);
+            let across_sq = dot(&across, &across);
+            let gap_times_across = across_sq
+                - h[0] * across[0].abs()
+                - h[1] * across[1].abs()
+                - h[2] * across[2].abs();
+            // No comparison holds for the NaN of an empty box.
+            let is_near = gap_times_across <= 0.0
+                || gap_times_across * gap_times_across <= radius_sq * across_sq;
+            is_near & (along.abs() <= self.half_length_m + reach)
+        })
     }
 
     #[inline]
-    fn offer(&mut self, point: &Point) {
-        let offset = minus(point, self.centre);
-        let along = dot(&offset, self.axis);
-        if along.abs() <= self.half_length_m
-            && dot(&offset, &offset) - along * along <= self.radius_m * self.radius_m
-        {
-            (self.found)(along, offset);
+    fn take(&mut self, block: &Block) {
+        let offsets = block.offsets(self.centre);
+        let distances_sq = sum_of_squares(&offsets);
+        let mut along = [0.0; WIDTH];
+        for lane in 0..WIDTH {
+            along[lane] = offsets[0][lane] * self.axis[0]
+                + offsets[1][lane] * self.axis[1]
+                + offsets[2][lane] * self.axis[2];
         }
+        let radius_sq = self.radius_m * self.radius_m;
+        let lanes = bits(|lane| {
+            (along[lane].abs() <= self.half_length_m)
+                & (distances_sq[lane] - along[lane] * along[lane] <= radius_sq)
+        });
+        for_each_bit(lanes, |lane| {
+            (self.found)(along[lane], offsets.map(|v| v[lane]));
+        });
+    }
+}
+
+#[inline(always)]
+fn bits(is_set: impl Fn(usize) -> bool) -> u32 {
+    (0..WIDTH).fold(0, |bits, lane| bits | u32::from(is_set(lane)) << lane)
+}
+
+#[inline(always)]
+fn for_each_bit(mut bits: u32, mut f: impl FnMut(usize)) {
+    while bits != 0 {
+        f(bits.trailing_zeros() as usize);
+        bits &= bits - 1;
     }
 }
 
@@ -130,44 +160,23 @@ impl NeighborIndex {
     }
 }
 
-impl Tree {
+impl Blocks {
     fn visit(&self, region: &mut impl Region) {
-        if !self.entries.is_empty() && region.may_meet(&self.low, &self.high) {
-            self.enter(0, self.low, self.high, region);
+        if !self.blocks.is_empty() {
+            self.enter(0, region);
         }
     }
 
-    /// Visits the subtree at `node`, all of which lies in the box.
-    fn enter(&self, node: usize, low: Point, high: Point, region: &mut impl Region) {
-        match self.nodes[node] {
-            Node::Leaf { start, end } | Node::Pile { start, end } => {
-                for entry in &self.entries[start as usize..end as usize] {
-                    region.offer(&entry.point);
-                }
+    fn enter(&self, number: usize, region: &mut impl Region) {
+        let node = &self.nodes[number];
+        let first = node.first_child as usize;
+        for_each_bit(region.lanes_that_may_meet(node), |lane| {
+            match (first + lane).checked_sub(self.nodes.len()) {
+                None => self.enter(first + lane, region),
+                Some(block) => region.take(&self.blocks[block]),
             }
-            Node::Split {
-                axis,
-                right,
-                left_high,
-                right_low,
-            } => {
-                let axis = usize::from(axis);
-                let (mut below, mut above) = (high, low);
-                (below[axis], above[axis]) = (left_high, right_low);
-                if region.may_meet(&low, &below) {
-                    self.enter(node + 1, low, below, region);
-                }
-                if region.may_meet(&above, &high) {
-                    self.enter(node + right as usize, above, high, region);
-                }
-            }
-        }
+        });
     }
-}
-
-#[inline]
-fn minus(a: &Point, b: &Point) -> Point {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 #[inline]
@@ -179,6 +188,10 @@ fn dot(a: &Point, b: &Point) -> f64 {
 mod tests {
     use super::*;
     use crate::random::Stream;
+
+    fn minus(a: &Point, b: &Point) -> Point {
+        std::array::from_fn(|axis| a[axis] - b[axis])
+    }
 
     #[test]
     fn balls_and_cylinders_hold_what_they_hold_in_a_list() {
