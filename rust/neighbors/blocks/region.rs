@@ -124,7 +124,7 @@ fn for_each_bit(mut bits: u32, mut f: impl FnMut(usize)) {
 
 impl NeighborIndex {
     /// Calls `found` with the offset from `centre`, and its square, of every point at most `radius_m`
-    /// away.
+    /// away; never for a place that is not finite.
     pub(crate) fn each_in_ball(
         &self,
         centre: &Point,
@@ -132,11 +132,14 @@ impl NeighborIndex {
         found: impl FnMut(Point, f64),
     ) {
         let radius_sq = radius_m * radius_m;
-        self.tree.visit(&mut Ball {
+        self.tree.visit(
             centre,
-            radius_sq,
-            found,
-        });
+            &mut Ball {
+                centre,
+                radius_sq,
+                found,
+            },
+        );
     }
 
     /// Calls `found` with the place along `axis` (a unit vector) and the offset, both seen from
@@ -150,19 +153,22 @@ impl NeighborIndex {
         half_length_m: f64,
         found: impl FnMut(f64, Point),
     ) {
-        self.tree.visit(&mut Cylinder {
+        self.tree.visit(
             centre,
-            axis,
-            radius_m,
-            half_length_m,
-            found,
-        });
+            &mut Cylinder {
+                centre,
+                axis,
+                radius_m,
+                half_length_m,
+                found,
+            },
+        );
     }
 }
 
 impl Blocks {
-    fn visit(&self, region: &mut impl Region) {
-        if !self.blocks.is_empty() {
+    fn visit(&self, centre: &Point, region: &mut impl Region) {
+        if !self.blocks.is_empty() && centre.iter().all(|v| v.is_finite()) {
             self.enter(0, region);
         }
     }
