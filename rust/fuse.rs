@@ -10,16 +10,18 @@
 
 use crate::cloud::{Cloud, Point};
 use crate::error::{Error, Result, require_positive};
-use crate::neighbors::NeighborIndex;
+use crate::neighbors::{Neighbor, NeighborIndex};
+use crate::overlap;
 use crate::parallel;
 use crate::progress::Progress;
 use crate::similarity::Similarity;
 use crate::spacing::nearest_spacing_quantile_m;
+use crate::surface_area::SurfaceArea;
 
 /// The derived hole radius is so many times the spacing that nine points in ten of the sparser
 /// cloud keep to.
-const RADIUS_IN_SPACINGS: f64 = 3.0;
-const SPACING_QUANTILE: f64 = 0.9;
+pub(crate) const RADIUS_IN_SPACINGS: f64 = 3.0;
+pub(crate) const SPACING_QUANTILE: f64 = 0.9;
 
 /// Which points of the source are taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -28,6 +30,9 @@ pub enum FuseMode {
     /// All.
     #[default]
     Merge,
+    /// All but those that repeat a point of the target: where both clouds show a surface, it does
+    /// not become denser than the denser of the two.
+    Dedup,
     /// Only those that fill a hole of the target.
     FillHoles,
 }
@@ -81,6 +86,12 @@ pub struct FusedCloud {
     pub n_filled_by_source: usize,
     /// How many points of the target fill a hole of the source.
     pub n_filled_by_target: usize,
+    /// Area of the surface that those points of the source show, in the target's unit.
+    pub area_filled_by_source_m2: f64,
+    /// Area of the surface that those points of the target show.
+    pub area_filled_by_target_m2: f64,
+    /// How many points of the source were left out because they repeat a point of the target.
+    pub n_repeated: usize,
 }
 
 /// Joins `target` and `source`. The pose lies between the local coordinates of the two clouds, and
@@ -126,19 +137,34 @@ pub fn fuse(
     let source_points = moved(source.points(), &target_from_source, progress)?;
     let target_points = moved(target.points(), &target_from_source.inverse(), progress)?;
     let target_distances_m = distances_m(&target_points, source_index, progress)?;
-    let source_distances_m = distances_m(&source_points, target_index, progress)?;
+    let source_nearest = target_index.nearest_all(&source_points, progress)?;
+    let repeated = match options.mode {
+        FuseMode::Dedup => {
+            // Beyond the hole radius a point is no repetition, whatever the density.
+            let in_reach = |n: &Neighbor| (n.distance_sq.sqrt() <= hole_radius_m).then_some(*n);
+            let nearest: Vec<_> = source_nearest.iter().map(in_reach).collect();
+            let scale = target_from_source.scale;
+            overlap::repeated(&nearest, source_index, scale, target_index, progress)?
+        }
+        FuseMode::Merge | FuseMode::FillHoles => vec![false; source.len()],
+    };
 
     let mut fused = FusedCloud::empty(hole_radius_m);
     for (i, distance_m) in target_distances_m.into_iter().enumerate() {
         let given_index = target.given_index(i) as u32;
         fused.push(target.points()[i], Origin::Target, given_index, distance_m);
     }
-    for (i, distance_m) in source_distances_m.into_iter().enumerate() {
-        if options.mode == FuseMode::Merge || distance_m > hole_radius_m {
+    for (i, nearest) in source_nearest.into_iter().enumerate() {
+        let distance_m = nearest.distance_sq.sqrt();
+        if repeated[i] {
+            fused.n_repeated += 1;
+        } else if options.mode != FuseMode::FillHoles || distance_m > hole_radius_m {
             let given_index = source.given_index(i) as u32;
             fused.push(source_points[i], Origin::Source, given_index, distance_m);
         }
     }
+    fused.area_filled_by_source_m2 = fused.area_filled_by(Origin::Source)?;
+    fused.area_filled_by_target_m2 = fused.area_filled_by(Origin::Target)?;
     fused.move_by(target.origin());
     Ok(fused)
 }
@@ -168,6 +194,9 @@ impl FusedCloud {
             hole_radius_m,
             n_filled_by_source: 0,
             n_filled_by_target: 0,
+            area_filled_by_source_m2: 0.0,
+            area_filled_by_target_m2: 0.0,
+            n_repeated: 0,
         }
     }
 
@@ -182,6 +211,20 @@ impl FusedCloud {
         self.given_index.push(given_index);
         self.fills_hole.push(fills_hole);
         self.distance_m.push(distance_m);
+    }
+
+    /// Cubes as long as the hole radius hold about nine points where the cloud is sparse.
+    fn area_filled_by(&self, origin: Origin) -> Result<f64> {
+        let filling: Vec<Point> = (0..self.points.len())
+            .filter(|&i| self.fills_hole[i] && self.origin[i] == origin)
+            .map(|i| self.points[i])
+            .collect();
+        if filling.is_empty() {
+            return Ok(0.0);
+        }
+        let mut area = SurfaceArea::new(self.hole_radius_m)?;
+        area.add(&filling)?;
+        Ok(area.total())
     }
 
     fn move_by(&mut self, shift: Point) {
@@ -306,6 +349,38 @@ mod tests {
             wanted.len()
         );
         assert_eq!(filled.points[..target.len()], merged.points[..target.len()]);
+    }
+
+    #[test]
+    fn what_repeats_the_target_is_left_out_and_no_place_is_bared() {
+        let mut stream = Stream::new(5, "fuse", 0);
+        let mut floor = |n: usize, width: f64| -> Vec<Point> {
+            let mut draw = || width * stream.uniform();
+            (0..n).map(|_| [draw(), draw(), 0.0]).collect()
+        };
+        // The source is four times as dense, and goes on where the target ends.
+        let (target, source) = (floor(2000, 10.0), floor(16_000, 14.0));
+        let away = Rigid::from_euler([0.0, 0.0, 2.0], [5e5, 4e6, -30.0]);
+        let dedup = options(FuseMode::Dedup, None);
+        let fused = run(&target, &source, &away, &dedup).unwrap();
+        assert_eq!(fused.points.len() + fused.n_repeated, 18_000);
+        assert_eq!(fused.points[..2000].len(), target.len());
+        // Nearly every target point replaces about one of the source.
+        assert!(
+            (500..2000).contains(&fused.n_repeated),
+            "{}",
+            fused.n_repeated
+        );
+        let merged = run(&target, &source, &away, &options(FuseMode::Merge, None)).unwrap();
+        assert_eq!((merged.points.len(), merged.n_repeated), (18_000, 0));
+        assert_eq!(merged.n_filled_by_source, fused.n_filled_by_source);
+        // Whatever was left out has a partner in the result, nearer than the clouds are dense.
+        let index = NeighborIndex::new(&fused.points);
+        for p in &merged.points {
+            assert!(index.nearest(p).unwrap().distance_sq.sqrt() < 0.5);
+        }
+        let twice = run(&target, &target, &away, &dedup).unwrap();
+        assert_eq!((twice.points.len(), twice.n_repeated), (2000, 2000));
     }
 
     #[test]

@@ -22,8 +22,10 @@ pub mod neighbors;
 pub mod normals;
 pub mod observations;
 pub mod optim;
+pub mod overlap;
 pub mod point_to_plane;
 pub mod spacing;
+pub mod surface_area;
 pub mod surface_cloud;
 pub mod uncertainty;
 
@@ -36,6 +38,7 @@ pub mod icp;
 pub mod keypoints;
 pub mod m3c2;
 pub mod outlier;
+pub mod running_voxels;
 pub mod verdict;
 pub mod voxel;
 

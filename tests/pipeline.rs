@@ -551,7 +551,7 @@ fn fused_clouds_carry_the_distances_that_were_evaluated() {
         Origin::Target => &lie.target_to_source_m,
     };
     let moved_source = moved(&pair.source, pose);
-    for mode in [FuseMode::Merge, FuseMode::FillHoles] {
+    for mode in [FuseMode::Merge, FuseMode::Dedup, FuseMode::FillHoles] {
         let options = FuseOptions {
             mode,
             ..FuseOptions::default()
@@ -579,6 +579,7 @@ fn fused_clouds_carry_the_distances_that_were_evaluated() {
         let n_from_source = match mode {
             FuseMode::Merge => pair.source.len(),
             FuseMode::FillHoles => fused.n_filled_by_source,
+            FuseMode::Dedup => pair.source.len() - fused.n_repeated,
         };
         assert_eq!(fused.points.len(), pair.target.len() + n_from_source);
         // The source alone saw a third of the place.

@@ -43,6 +43,7 @@ from tmchho.evaluation import Area, AreaStatistics, Change, Evaluation, evaluate
 from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike
 from tmchho.io import read, write
+from tmchho.moving import apply_transform, moved
 from tmchho.observations import ControlPoint, Observations, PosePrior, read_control_points
 from tmchho.optimize import minimize
 from tmchho.optimizer import MinimizeResult, Optimizer
@@ -62,6 +63,7 @@ from tmchho.stages import (
     remove_outliers,
     voxel_downsample,
 )
+from tmchho.transform import Transform, read_transform
 
 __all__ = [
     "Area",
@@ -100,11 +102,13 @@ __all__ = [
     "StageRecord",
     "StoppedError",
     "TmchhoError",
+    "Transform",
     "VerdictOptions",
     "VoxelOptions",
     "VoxelResult",
     "WriteError",
     "__version__",
+    "apply_transform",
     "benchmark_functions",
     "benchmark_value",
     "chaotic_sequence",
@@ -121,10 +125,12 @@ __all__ = [
     "matrix_to_euler",
     "median_spacing",
     "minimize",
+    "moved",
     "nearest_distances",
     "read",
     "read_areas",
     "read_control_points",
+    "read_transform",
     "register",
     "remove_outliers",
     "rms_fitness",

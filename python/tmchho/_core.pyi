@@ -10,18 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "PointIndex",
     "Problem",
+    "RunningVoxels",
     "Search",
+    "SurfaceArea",
     "__version__",
     "benchmark_functions",
     "chaotic_sequence",
     "complete_config",
     "default_config",
     "distance_statistics",
+    "distances_within",
     "estimate_normals",
     "euler_to_matrix",
     "evaluate",
     "fuse",
+    "hole_radius_rule",
     "icp",
     "iss_keypoints",
     "kabsch",
@@ -35,6 +40,8 @@ __all__ = [
     "register",
     "remove_outliers",
     "rms_fitness",
+    "spacing_sample",
+    "tile_of",
     "voxel_downsample",
 ]
 
@@ -68,6 +75,12 @@ def icp(
 def kabsch(source: _Floats, target: _Floats) -> _Floats: ...
 def rms_fitness(source: _Floats, target: _Floats, parameters: list[float]) -> float: ...
 def nearest_distances(source: _Floats, target: _Floats) -> _Floats: ...
+def distances_within(
+    places: _Floats, n_own: int, others: _Floats, max_distance: float, repeated: bool
+) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]: ...
+def spacing_sample(array: _Floats, n_sampled: int) -> _Floats: ...
+def tile_of(array: _Floats, axes: list[int], places: list[float]) -> NDArray[np.uint16]: ...
+def hole_radius_rule() -> tuple[float, float]: ...
 def median_spacing(array: _Floats) -> float: ...
 def euler_to_matrix(parameters: list[float]) -> _Floats: ...
 def matrix_to_euler(matrix: _Floats) -> _Floats: ...
@@ -85,6 +98,29 @@ class Search:
     def tell(self, values: _Floats, callback: Callable[[_Floats, float], bool] | None) -> None: ...
     def is_over(self) -> bool: ...
     def minimum(self) -> dict[str, Any]: ...
+
+@final
+class PointIndex:
+    def __new__(cls, array: _Floats) -> PointIndex: ...
+    def distances(self, array: _Floats) -> _Floats: ...
+
+@final
+class SurfaceArea:
+    def __new__(cls, edge: float) -> SurfaceArea: ...
+    def add(self, array: _Floats) -> None: ...
+    def total(self) -> float: ...
+
+@final
+class RunningVoxels:
+    def __new__(
+        cls,
+        low: tuple[float, float, float] | NDArray[np.float64],
+        high: tuple[float, float, float] | NDArray[np.float64],
+        voxel_size: float,
+        max_voxels: int,
+    ) -> RunningVoxels: ...
+    def add(self, array: _Floats) -> None: ...
+    def finish(self) -> dict[str, Any]: ...
 
 @final
 class Problem:

@@ -245,13 +245,14 @@ class FuseOptions:
 
     Parameters
     ----------
-    mode : {'merge', 'fill_holes'}, optional
-        Take all points of the source, or only those that fill a hole of the target.
+    mode : {'merge', 'dedup', 'fill_holes'}, optional
+        Take all points of the source, all but those that repeat a point of the target, or only those that
+        fill a hole of the target.
     hole_radius_m : float, optional
         A point farther than this from the other cloud fills a hole. Derived from the spacing where not given.
     """
 
-    mode: Literal["merge", "fill_holes"] | None = None
+    mode: Literal["merge", "dedup", "fill_holes"] | None = None
     hole_radius_m: float | None = None
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from tmchho.cloud import PointCloud
 from tmchho.errors import InvalidArgumentError
+from tmchho.io.fields import LAS_NAMES, canonical_name
+from tmchho.io.las_write import with_scan_angle
 from tmchho.results import ReadOnlyArrays
 
 _TARGET, _SOURCE = 0, 1
@@ -38,6 +40,10 @@ class FusedCloud(ReadOnlyArrays):
         As given or derived.
     n_filled_by_source, n_filled_by_target : int
         How many points of the one cloud fill a hole of the other.
+    area_filled_by_source, area_filled_by_target : float
+        Area of the surface that these points show; see ``docs/files.md`` for how it is measured.
+    n_repeated : int
+        Points of the source that were left out because they repeat the target.
     """
 
     points: NDArray[np.float64]
@@ -48,6 +54,9 @@ class FusedCloud(ReadOnlyArrays):
     hole_radius: float
     n_filled_by_source: int
     n_filled_by_target: int
+    area_filled_by_source: float
+    area_filled_by_target: float
+    n_repeated: int
 
     def to_point_cloud(self, source: PointCloud, target: PointCloud) -> PointCloud:
         """Return the points with the attributes of the clouds they come from.
@@ -62,9 +71,9 @@ class FusedCloud(ReadOnlyArrays):
         PointCloud
             In the target's coordinate reference system, with the attributes of both clouds, and ``origin``,
             ``fills_hole`` and ``C2C_absolute_distances`` (the name CloudCompare uses). Where a cloud lacks an
-            attribute of the other, its points get 0. Where colours are 8-bit in one cloud and 16-bit in the
-            other, the former are multiplied by 256. To keep the layout of a LAS file, write it with
-            ``like=target``.
+            attribute of the other, its points get `no_data_value`: 0, or NaN in decimals. Where colours are
+            8-bit in one cloud and 16-bit in the other, the former are multiplied by 256. To keep the layout
+            of a LAS file, write it with ``like=target``.
 
         Raises
         ------
@@ -79,38 +88,104 @@ class FusedCloud(ReadOnlyArrays):
                     f"{name} has {len(cloud)} points, but row {rows.max()} was fused: "
                     "give the clouds that were given to fuse"
                 )
+        source, target = _with_one_scan_angle(source, target)
         attributes: dict[str, NDArray[Any]] = {}
+        factors = colour_factors(source, target)
         for name in (*target.attributes, *(key for key in source.attributes if key not in target.attributes)):
-            attributes[name] = _joined(
-                name, target.attributes.get(name), source.attributes.get(name), from_target, from_source
+            of_source, of_target = (
+                _Part(cloud.attributes.get(name), rows, factor if name in _COLOURS else 1)
+                for cloud, rows, factor in zip(
+                    (source, target), (from_source, from_target), factors, strict=True
+                )
             )
+            no_data = no_data_value(name, source, target)
+            attributes[name] = _joined(name, of_source, of_target, no_data)
         attributes["origin"] = self.origin
         attributes["fills_hole"] = self.fills_hole.astype(np.uint8)
-        attributes["C2C_absolute_distances"] = self.distance
+        attributes["C2C_absolute_distances"] = self.distance.astype(np.float32)
         return PointCloud(self.points, attributes, crs=target.crs, name="fused cloud")
 
 
-def _joined(
-    name: str,
-    of_target: NDArray[Any] | None,
-    of_source: NDArray[Any] | None,
-    from_target: NDArray[np.uint32],
-    from_source: NDArray[np.uint32],
-) -> NDArray[Any]:
-    """Return the values of the one cloud's rows, then those of the other's; 0 where there are none."""
-    given = [np.asarray(values) for values in (of_target, of_source) if values is not None]
+def lacking(cloud: PointCloud, other: PointCloud) -> dict[str, float | None]:
+    """Return the attributes that only `other` has, and what points of `cloud` get instead; NaN is None."""
+    values = {
+        name: float(no_data_value(name, cloud, other))
+        for name in sorted(set(other.attributes) - set(cloud.attributes))
+    }
+    return {name: None if np.isnan(value) else value for name, value in values.items()}
+
+
+def no_data_value(name: str, *clouds: PointCloud) -> Any:
+    """Return what a point gets for an attribute that its cloud lacks.
+
+    What the extra dimension of a LAS file says of itself; else 0 for the fields that LAS has and for whole
+    numbers, NaN for decimals.
+    """
+    for cloud in clouds:
+        if name not in cloud.attributes:
+            continue
+        for dimension in cloud.metadata.get("extra_dimensions", ()):
+            if dimension.name == name and dimension.length == 1:
+                if dimension.no_data is not None:
+                    return dimension.decode(np.array(dimension.no_data))[0]
+                if dimension.scales is not None:  # stored as whole numbers
+                    return dimension.decode(np.zeros(1))[0]
+        if np.asarray(cloud.attributes[name]).dtype.kind == "f" and canonical_name(name) not in LAS_NAMES:
+            return np.nan
+    return 0
+
+
+def colour_factors(*clouds: PointCloud) -> tuple[int, ...]:
+    """Return by what the colours of each cloud are multiplied, so that all use 16 bits if one does.
+
+    8-bit colours, also those in a 16-bit field, are told by no value above 255. Beside true 16-bit ones they
+    would be black. The LAS specification asks for a factor of 256.
+    """
+    brightest = []
+    for cloud in clouds:
+        colours = [np.asarray(cloud.attributes[name]) for name in _COLOURS if name in cloud.attributes]
+        whole = [values for values in colours if values.dtype.kind in "iu" and values.size]
+        brightest.append(max((int(values.max()) for values in whole), default=0))
+    is_wide = max(brightest) > 255
+    return tuple(256 if is_wide and 0 < value <= 255 else 1 for value in brightest)
+
+
+def _with_one_scan_angle(source: PointCloud, target: PointCloud) -> tuple[PointCloud, PointCloud]:
+    """Bring whole degrees into the finer steps of LAS 1.4 where only one of the clouds has these."""
+    clouds = (source, target)
+    if not any("scan_angle" in cloud.attributes for cloud in clouds):
+        return clouds
+    renewed = [
+        replace(cloud, attributes=with_scan_angle(dict(cloud.attributes), {"scan_angle"})) for cloud in clouds
+    ]
+    return renewed[0], renewed[1]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The values of one cloud, which of its rows are taken, and by what they are multiplied."""
+
+    values: NDArray[Any] | None
+    rows: NDArray[np.uint32]
+    factor: int
+
+
+def _joined(name: str, source: _Part, target: _Part, no_data: Any) -> NDArray[Any]:
+    """Return the values of the target's rows, then those of the source's."""
+    given = [np.asarray(part.values) for part in (target, source) if part.values is not None]
     if len({values.shape[1:] for values in given}) > 1:
         raise InvalidArgumentError(
             f"attribute '{name}' has values of shape {given[0].shape[1:]} in the target and "
             f"{given[1].shape[1:]} in the source; rename or drop one"
         )
     dtype = np.result_type(*given)
+    if max(source.factor, target.factor) > 1:
+        dtype = np.result_type(dtype, np.uint16)
 
-    def part(values: NDArray[Any] | None, rows: NDArray[np.uint32]) -> NDArray[Any]:
-        if values is None:
-            return np.zeros((len(rows), *given[0].shape[1:]), dtype=dtype)
-        taken = np.asarray(values)[rows].astype(dtype)
-        is_deepened = name in _COLOURS and np.asarray(values).dtype == np.uint8 and dtype == np.uint16
-        return taken * 256 if is_deepened else taken
+    def part(of: _Part) -> NDArray[Any]:
+        if of.values is None:
+            return np.full((len(of.rows), *given[0].shape[1:]), no_data, dtype=dtype)
+        taken = np.asarray(of.values)[of.rows].astype(dtype)
+        return taken if of.factor == 1 else np.asarray(taken * dtype.type(of.factor))
 
-    return np.concatenate([part(of_target, from_target), part(of_source, from_source)])
+    return np.concatenate([part(target), part(source)])

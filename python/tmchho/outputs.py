@@ -9,34 +9,74 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import platform
-import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from tmchho.cloud import PointCloud
-from tmchho.equations import matrix_to_euler
 from tmchho.errors import ReadError, WriteError
+from tmchho.fused import lacking
 from tmchho.io import atomic_path, check_output, check_writable_folder
+from tmchho.moving import moved
+from tmchho.transform import (
+    Transform,
+    euler_deg,
+    matrix_text,
+    pdal_pipeline,
+    pdal_text,
+    quaternion_wxyz,
+    read_matrix,
+    transform_document,
+)
 
 if TYPE_CHECKING:
     from tmchho.fused import FusedCloud
     from tmchho.results import Registration
 
+__all__ = [
+    "FIGURES",
+    "FUSED",
+    "OUTPUTS",
+    "PDAL",
+    "REPORT",
+    "REPORT_PDF",
+    "REPORT_POINTS",
+    "RESULT",
+    "SOURCE_REGISTERED",
+    "TRANSFORM",
+    "TRANSFORM_JSON",
+    "InputFile",
+    "check_folder",
+    "euler_deg",
+    "fused_counts",
+    "json_text",
+    "matrix_text",
+    "moved_source",
+    "pdal_text",
+    "pose_files",
+    "quaternion_wxyz",
+    "read_matrix",
+    "result_document",
+    "staging",
+    "write_together",
+]
+
 FUSED = "fused.laz"
 SOURCE_REGISTERED = "source_registered.laz"
 TRANSFORM = "transform.txt"
+TRANSFORM_JSON = "transform.json"
+PDAL = "pdal.json"
 RESULT = "result.json"
 REPORT_POINTS = "report_points.npz"
-OUTPUTS = (FUSED, SOURCE_REGISTERED, TRANSFORM, RESULT, REPORT_POINTS)
+OUTPUTS = (FUSED, SOURCE_REGISTERED, TRANSFORM, TRANSFORM_JSON, PDAL, RESULT, REPORT_POINTS)
 # Made of the two before, by `tmchho.report`.
 REPORT, REPORT_PDF, FIGURES = "report.html", "report.pdf", "figures"
 
@@ -166,8 +206,31 @@ def _made_folder(folder: Path) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def staging(folder: StrPath) -> Iterator[Path]:
+    """Lend a folder within `folder` for files on their way.
+
+    It goes whatever happens; on an error, so does every folder that had to be made.
+    """
+    folder = Path(folder)
+    with _made_folder(folder):
+        try:
+            scratch = Path(tempfile.mkdtemp(prefix=".tmchho-", dir=folder))
+        except OSError as error:
+            raise WriteError(f"{folder}: no folder can be made in it ({error.strerror})") from error
+        try:
+            yield scratch
+        except OSError as error:
+            raise WriteError(
+                f"{folder}: the intermediate files, about 20 bytes a point, and the results cannot be "
+                f"written there ({error.strerror or error}); make room or choose another folder"
+            ) from error
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
 def moved_source(registration: Registration, source: PointCloud, target: PointCloud) -> PointCloud:
-    """Return the source in the target's frame, with every attribute it had.
+    """Return the source in the target's frame, with every attribute it had; normals are turned along.
 
     Points whose coordinates are not finite are left out, because they cannot be moved.
 
@@ -183,116 +246,51 @@ def moved_source(registration: Registration, source: PointCloud, target: PointCl
     PointCloud
     """
     finite = np.isfinite(source.xyz).all(axis=1)
-    xyz, attributes = source.xyz, dict(source.attributes)
     if not finite.all():
-        xyz = xyz[finite]
-        attributes = {name: np.asarray(values)[finite] for name, values in attributes.items()}
-    return replace(source, xyz=registration.apply(xyz), attributes=attributes, crs=target.crs)
+        attributes = {name: np.asarray(values)[finite] for name, values in source.attributes.items()}
+        source = replace(source, xyz=source.xyz[finite], attributes=attributes)
+    return moved(source, registration, crs=target.crs)
 
 
-def matrix_text(matrix: ArrayLike) -> str:
-    """Return a 4 × 4 matrix as CloudCompare reads it: four lines of four numbers, 17 significant digits.
-
-    Examples
-    --------
-    >>> print(matrix_text([[0, -1, 0, 0.1], [1, 0, 0, 2e6], [0, 0, 1, -3], [0, 0, 0, 1]]), end="")
-    0 -1 0 0.10000000000000001
-    1 0 0 2000000
-    0 0 1 -3
-    0 0 0 1
-    """
-    return "".join(" ".join(map(_digits, row)) + "\n" for row in _as_matrix(matrix))
-
-
-def pdal_text(matrix: ArrayLike) -> str:
-    """Return a 4 × 4 matrix as PDAL's ``filters.transformation`` reads it: 16 numbers, row by row."""
-    return " ".join(map(_digits, _as_matrix(matrix).ravel()))
-
-
-def read_matrix(path: StrPath) -> NDArray[np.float64]:
-    """Read a 4 × 4 matrix from ``transform.txt``, from any text with 16 numbers, or from ``result.json``.
+def pose_files(
+    found: Registration | Transform,
+    source: str,
+    source_crs: str | None = None,
+    target_crs: str | None = None,
+    scales: Sequence[float] | None = None,
+) -> dict[str, Callable[[Path], object]]:
+    """Return what writes ``transform.txt``, ``transform.json`` and ``pdal.json``, for `write_together`.
 
     Parameters
     ----------
-    path : str or path
-        JSON is told from text by its first character.
-
-    Returns
-    -------
-    (4, 4) float64 array
-
-    Raises
-    ------
-    ReadError
-        If the file is missing or does not hold a finite 4 × 4 matrix.
+    found : Registration or Transform
+        The pose.
+    source : str
+        The file that the PDAL pipeline reads.
+    source_crs, target_crs : str, optional
+        Coordinate reference systems as WKT.
+    scales : sequence of float, optional
+        Steps of the target's coordinates, which the PDAL pipeline keeps to.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise ReadError(
-            f"{path}: cannot be read ({error.strerror}); check the name and the rights"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ReadError(f"{path}: is not a text file; give a transform.txt or a result.json") from error
-    try:
-        if text.lstrip().startswith("{"):
-            values = json.loads(text)["transformation"]
-        else:
-            values = [float(word) for word in re.split(r"[\s,;]+", text.strip())]
-        matrix = np.array(values, dtype=np.float64)
-    except KeyError as error:
-        raise ReadError(
-            f"{path}: has no key 'transformation'; give the result.json of a registration"
-        ) from error
-    except (TypeError, ValueError) as error:
-        raise ReadError(f"{path}: does not hold a matrix ({error}); give 4 lines of 4 numbers") from error
-    if matrix.size != 16 or not np.isfinite(matrix).all():
-        raise ReadError(f"{path}: holds {matrix.size} numbers; give 16 finite ones, in 4 lines of 4")
-    return matrix.reshape(4, 4)
+    known = Transform.of(found)
+    documents = {
+        TRANSFORM_JSON: transform_document(known, source_crs=source_crs, target_crs=target_crs),
+        PDAL: pdal_pipeline(known, source, SOURCE_REGISTERED, scales=scales, crs=target_crs),
+    }
+    texts = {TRANSFORM: matrix_text(known.matrix)}
+    texts |= {name: json_text(document) for name, document in documents.items()}
 
+    def writer(text: str) -> Callable[[Path], object]:
+        return lambda path: path.write_text(text, encoding="utf-8", newline="\n")
 
-def euler_deg(matrix: ArrayLike) -> list[float]:
-    """Return the angles θx, θy, θz of the article's Eq. (1) in degrees, θy from -90 to 90.
-
-    Parameters
-    ----------
-    matrix : (4, 4) array_like
-        A rigid transform, or one with a scale, which is left out.
-
-    Notes
-    -----
-    Ren, Zhao & Han (2023), Eq. (1): the rotation is the transpose of Rz(θz)·Ry(θy)·Rx(θx). Where θy is
-    ±90°, θx and θz turn about the same axis; the whole turn is then given as θx.
-    """
-    unscaled = np.eye(4)
-    unscaled[:3, :3] = _rotation(matrix)
-    return [math.degrees(angle) for angle in matrix_to_euler(unscaled)[:3]]
-
-
-def quaternion_wxyz(matrix: ArrayLike) -> list[float]:
-    """Return the rotation of a 4 × 4 transform, its scale left out, as a quaternion (w, x, y, z), w ≥ 0."""
-    r = _rotation(matrix)
-    # Four times each product of two components; the row of the largest component loses no digits.
-    products = np.empty((4, 4))
-    products[0] = 1 + np.trace(r), r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    products[1:, 0] = products[0, 1:]
-    products[1:, 1:] = r + r.T
-    np.fill_diagonal(products[1:, 1:], 1 - np.trace(r) + 2 * np.diag(r))
-    row = products[int(np.argmax(np.diag(products)))]
-    unit = row / np.linalg.norm(row)
-    return [float(value) + 0.0 for value in (unit if unit[0] >= 0 else -unit)]
-
-
-def _rotation(matrix: ArrayLike) -> NDArray[np.float64]:
-    part = _as_matrix(matrix)[:3, :3]
-    return np.asarray(part / np.cbrt(np.linalg.det(part)))
+    return {name: writer(text) for name, text in texts.items()}
 
 
 def result_document(
     registration: Registration,
     source: InputFile,
     target: InputFile,
-    fused: FusedCloud | None,
+    fused: Mapping[str, Any] | None,
     command: str,
 ) -> dict[str, Any]:
     """Return what ``result.json`` holds.
@@ -306,8 +304,8 @@ def result_document(
         What was found.
     source, target : InputFile
         From what.
-    fused : FusedCloud, optional
-        What it was fused to; None where the pose was rejected.
+    fused : mapping, optional
+        What it was fused to, as `fused_counts` tells; None where the pose was rejected.
     command : str
         Command line that gives the same result again.
 
@@ -326,7 +324,7 @@ def result_document(
             "quaternion_wxyz": quaternion_wxyz(matrix),
         },
         "inputs": {"source": vars(source), "target": vars(target)},
-        "fused": None if fused is None else fused_counts(fused),
+        "fused": None if fused is None else dict(fused),
         "versions": {
             "tmchho": registration.version,
             "numpy": np.__version__,
@@ -337,8 +335,18 @@ def result_document(
     return document
 
 
-def fused_counts(fused: FusedCloud) -> dict[str, Any]:
-    """Return how many points of the fused cloud come from where, as in ``result.json``."""
+def fused_counts(fused: FusedCloud, source: PointCloud, target: PointCloud, mode: str) -> dict[str, Any]:
+    """Return how many points of the fused cloud come from where, and what they fill, as in ``result.json``.
+
+    Parameters
+    ----------
+    fused : FusedCloud
+        The fused cloud.
+    source, target : PointCloud
+        What it was fused from.
+    mode : {'merge', 'dedup', 'fill_holes'}
+        How.
+    """
     n_source = int(np.count_nonzero(fused.origin))
     return {
         "n_points": len(fused.points),
@@ -346,7 +354,12 @@ def fused_counts(fused: FusedCloud) -> dict[str, Any]:
         "n_from_source": n_source,
         "n_filled_by_source": int(fused.n_filled_by_source),
         "n_filled_by_target": int(fused.n_filled_by_target),
+        "n_repeated": int(fused.n_repeated),
+        "area_filled_by_source": float(fused.area_filled_by_source),
+        "area_filled_by_target": float(fused.area_filled_by_target),
         "hole_radius": float(fused.hole_radius),
+        "mode": mode,
+        "no_data": {"source": lacking(source, target), "target": lacking(target, source)},
     }
 
 
@@ -380,11 +393,3 @@ def _json(value: Any, indent: str) -> str:
     ):
         return "[\n" + ",\n".join(deeper + _json(item, deeper) for item in value) + f"\n{indent}]"
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
-
-
-def _as_matrix(matrix: ArrayLike) -> NDArray[np.float64]:
-    return np.asarray(matrix, dtype=np.float64).reshape(4, 4)
-
-
-def _digits(value: float) -> str:
-    return format(float(value) + 0.0, ".17g")  # the sum turns -0 into 0

@@ -131,7 +131,7 @@ def fuse(
     target: CloudLike,
     transformation: Registration | ArrayLike,
     *,
-    mode: Literal["merge", "fill_holes"] | None = None,
+    mode: Literal["merge", "dedup", "fill_holes"] | None = None,
     hole_radius: float | None = None,
 ) -> FusedCloud:
     """Make one cloud out of two, in which each fills the other's holes.
@@ -142,9 +142,10 @@ def fuse(
         At least one finite point each; see `register`.
     transformation : Registration or (4, 4) array_like
         Takes source to target coordinates; may contain a scale.
-    mode : {'merge', 'fill_holes'}, optional
-        Take all points of the source (``'merge'``, where not given), or only those that fill a hole of the
-        target. The target is always kept whole.
+    mode : {'merge', 'dedup', 'fill_holes'}, optional
+        Take all points of the source (``'merge'``, where not given); all but those that repeat a point of the
+        target, which lies nearer than either cloud is dense there (``'dedup'``); or only those that fill a
+        hole of the target (``'fill_holes'``). The target is always kept whole.
     hole_radius : float, optional
         A point farther than this from the other cloud fills a hole; above 0. Where not given, three times the
         spacing that nine points in ten of the sparser cloud keep to.
@@ -174,7 +175,7 @@ def fuse(
     """
     matrix = pose_matrix(transformation)
     options: dict[str, Any] = {
-        "mode": None if mode is None else checked_choice("mode", mode, ("merge", "fill_holes")),
+        "mode": None if mode is None else checked_choice("mode", mode, ("merge", "dedup", "fill_holes")),
         "hole_radius_m": None if hole_radius is None else checked_number("hole_radius", hole_radius),
     }
     source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")

@@ -13,6 +13,7 @@ mod optim;
 mod registration;
 mod run;
 mod stages;
+mod streams;
 
 use pyo3::prelude::*;
 
@@ -43,6 +44,13 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(optim::methods, module)?)?;
     module.add_function(wrap_pyfunction!(optim::chaotic_sequence, module)?)?;
     module.add_function(wrap_pyfunction!(optim::levy_steps, module)?)?;
+    module.add_function(wrap_pyfunction!(streams::distances_within, module)?)?;
+    module.add_function(wrap_pyfunction!(streams::spacing_sample, module)?)?;
+    module.add_function(wrap_pyfunction!(streams::tile_of, module)?)?;
+    module.add_function(wrap_pyfunction!(streams::hole_radius_rule, module)?)?;
+    module.add_class::<streams::RunningVoxels>()?;
+    module.add_class::<streams::PointIndex>()?;
+    module.add_class::<streams::SurfaceArea>()?;
     module.add_class::<optim::Problem>()?;
     module.add_class::<optim::Search>()?;
     Ok(())

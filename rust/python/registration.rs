@@ -135,6 +135,9 @@ pub(super) fn fuse<'py>(
             "hole_radius": fused.hole_radius_m,
             "n_filled_by_source": fused.n_filled_by_source,
             "n_filled_by_target": fused.n_filled_by_target,
+            "area_filled_by_source": fused.area_filled_by_source_m2,
+            "area_filled_by_target": fused.area_filled_by_target_m2,
+            "n_repeated": fused.n_repeated,
         })
     })
 }

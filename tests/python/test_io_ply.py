@@ -165,13 +165,20 @@ def test_broken_text_files(tmp_path: Path, old: bytes, new: bytes, words: str) -
 # --- writing ---
 
 
-def test_written_attributes_and_types(tmp_path: Path) -> None:
+@pytest.mark.parametrize("byte_order", [None, "<", ">"], ids=["text", "little", "big"])
+def test_written_attributes_and_types(tmp_path: Path, byte_order: str | None) -> None:
     attributes: dict[str, NDArray[Any]] = {
         kind: np.array([0, 1, 100], dtype=kind) for kind in ("u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8")
     }
-    cloud = PointCloud(XYZ, attributes)
+    cloud = PointCloud(XYZ, attributes, metadata={"format": "ply", "byte_order": byte_order})
     tmchho.io.write(cloud, tmp_path / "a.ply")
     back = tmchho.io.read(tmp_path / "a.ply")
+    assert back.metadata["byte_order"] == byte_order
+    np.testing.assert_array_equal(back.xyz, XYZ)
+    plyfile = pytest.importorskip("plyfile")
+    theirs = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]
+    np.testing.assert_array_equal(theirs["y"], XYZ[:, 1])
+    np.testing.assert_array_equal(theirs["f4"], attributes["f4"])
     for key, values in attributes.items():
         np.testing.assert_array_equal(back.attributes[key], values)
         assert back.attributes[key].dtype == values.dtype

@@ -7,7 +7,6 @@ import json
 import math
 import os
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -174,7 +173,7 @@ def test_the_moved_source_keeps_attributes_and_drops_what_is_not_finite() -> Non
     xyz = np.array([[1.0, 2, 3], [np.nan, 0, 0], [4, 5, 6], [0, np.inf, 0]])
     source = PointCloud(xyz, {"intensity": np.arange(4), "normal": np.arange(12).reshape(4, 3)}, crs="theirs")
     target = PointCloud(np.zeros((1, 3)), crs="ours")
-    moved = outputs.moved_source(SimpleNamespace(apply=lambda points: points + 10.0), source, target)
+    moved = outputs.moved_source(pose(np.eye(3), (10, 10, 10)), source, target)
     assert moved.xyz.tolist() == [[11, 12, 13], [14, 15, 16]]
     assert moved.attributes["intensity"].tolist() == [0, 2]
     assert moved.attributes["normal"].tolist() == [[0, 1, 2], [6, 7, 8]]

@@ -6,6 +6,7 @@ import is imported inside the commands, so that ``--help`` answers at once.
 
 import click
 
+from tmchho.cli.apply import apply
 from tmchho.cli.config import config
 from tmchho.cli.demo import demo
 from tmchho.cli.evaluate import evaluate
@@ -41,7 +42,7 @@ def main() -> None:
     """
 
 
-for _command in (register, evaluate, info, demo, config, paper, report, view):
+for _command in (register, evaluate, apply, info, demo, config, paper, report, view):
     main.add_command(_command)
 
 __all__ = ["main"]

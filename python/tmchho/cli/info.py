@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tmchho.cli.crs import crs_name, is_geographic
+from tmchho.cli.crs import crs_name
 from tmchho.cli.display import display
 from tmchho.cli.failures import debug_option
 from tmchho.cli.options import PATH, json_option, quiet_option
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 # A float32 step longer than this share of the spacing shows in the shape of surfaces.
 _VISIBLE_STEP = 0.02
-# Degrees look like a needle: metres upwards, thousandths sideways.
-_NEEDLE = 1000.0
 _WIDTH = 96
 
 
@@ -68,13 +66,16 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
     -------
     dict
         ``name``, ``n_points``, ``lowest`` and ``highest`` corner of the box, ``spacing`` (median distance to
-        the nearest other point; None where there is none), ``crs``, ``attributes`` (type, lowest and
-        highest value of each) and ``wrong`` (sentences), ready for JSON.
+        the nearest other point; None where there is none), ``crs``, its ``unit`` and ``heights`` where pyproj
+        can tell, ``attributes`` (type, lowest and highest value of each) and ``wrong`` (sentences), ready for
+        JSON.
     """
     import numpy as np
 
     from tmchho import median_spacing
+    from tmchho.crs import crs_facts
 
+    facts = crs_facts(cloud.crs)
     finite = cloud.xyz[np.isfinite(cloud.xyz).all(axis=1)]
     distinct = np.unique(finite, axis=0)
     spacing = median_spacing(finite) if len(distinct) > 1 else None
@@ -85,6 +86,8 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
         "highest": finite.max(axis=0).tolist() if len(finite) else None,
         "spacing": spacing,
         "crs": crs_name(cloud.crs),
+        "unit": None if facts is None else facts.unit,
+        "heights": None if facts is None else facts.heights,
         "attributes": {name: _range(values) for name, values in sorted(cloud.attributes.items())},
         "wrong": _what_looks_wrong(cloud, finite, distinct, spacing),
     }
@@ -93,7 +96,8 @@ def describe(cloud: PointCloud) -> dict[str, Any]:
 def _what_looks_wrong(
     cloud: PointCloud, finite: NDArray[np.float64], distinct: NDArray[np.float64], spacing: float | None
 ) -> list[str]:
-    import numpy as np
+
+    from tmchho.crs import crs_doubts, float32_step
 
     wrong = []
     if len(finite) < len(cloud):
@@ -103,19 +107,14 @@ def _what_looks_wrong(
     if len(finite) == 0:
         return wrong
     lowest, highest = distinct.min(axis=0), distinct.max(axis=0)
-    largest = np.maximum(np.abs(lowest), np.abs(highest)).astype(np.float32)
-    step = float(np.spacing(largest).max())
-    rounded = bool((distinct == distinct.astype(np.float32)).all())
-    if rounded and spacing is not None and step > _VISIBLE_STEP * spacing:
+    step = float32_step(distinct)
+    if step is not None and spacing is not None and step > _VISIBLE_STEP * spacing:
         wrong.append(
             f"coordinates were stored as float32, in steps of {step:.3g} at this distance from the origin; "
             "export again with double precision or after subtracting an offset"
         )
+    wrong += crs_doubts(cloud.crs, lowest, highest)
     extent = highest - lowest
-    in_range = bool((np.abs(lowest[:2]) <= [180, 90]).all() and (np.abs(highest[:2]) <= [180, 90]).all())
-    needle = bool(extent[2] > _NEEDLE * extent[:2].max())
-    if is_geographic(cloud.crs) or (cloud.crs is None and in_range and needle):
-        wrong.append("coordinates look like degrees of longitude and latitude; project them to metres first")
     if len(distinct) < 4 or bool((extent == 0).any()):
         wrong.append("the points do not spread in three directions, so no pose can be found for them")
     return wrong
@@ -145,6 +144,8 @@ def _in_words(described: dict[str, Any]) -> str:
         "extent": numbers(extent),
         "spacing": "-" if spacing is None else f"{spacing:.4g} (median distance to the nearest point)",
         "CRS": described["crs"] or "not in the file",
+        "unit": described["unit"],
+        "heights": described["heights"],
         "attributes": ", ".join(used) or "none",
         "all zero": ", ".join(unused),
         "looks wrong": "\n".join(described["wrong"]) or "nothing",

@@ -54,6 +54,41 @@ def corners(
     return low, high
 
 
+def area(
+    context: click.Context, option: click.Parameter, value: str | None
+) -> tuple[tuple[float, ...], tuple[float, ...]] | Path | None:
+    """Read an option whose value is a box, or the name of a file with a polygon."""
+    if value is not None and Path(value).is_file():
+        return Path(value)
+    try:
+        return corners(context, option, value)
+    except click.BadParameter as error:
+        raise click.BadParameter(f"{error.message}, and no file has that name") from error
+
+
+def classes(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[int, ...]:
+    """Read an option whose value are classifications with commas between them."""
+    if value is None:
+        return ()
+    words = value.split(",")
+    if not all(word.strip().isdigit() and int(word) <= 255 for word in words):
+        raise click.BadParameter(f"must be numbers from 0 to 255 with commas between them, got {value!r}")
+    return tuple(int(word) for word in words)
+
+
+def memory(_context: click.Context, _option: click.Parameter, value: str | None) -> int | None:
+    """Read an option whose value is an amount of memory."""
+    from tmchho.errors import InvalidArgumentError
+    from tmchho.streams.memory import parse_bytes
+
+    if value is None:
+        return None
+    try:
+        return parse_bytes(value)
+    except InvalidArgumentError as error:
+        raise click.BadParameter(str(error)) from error
+
+
 def positive(_context: click.Context, _option: click.Parameter, value: float | None) -> float | None:
     """Check an option whose value must be a finite number above zero."""
     if value is not None and not (math.isfinite(value) and value > 0):

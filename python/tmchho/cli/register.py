@@ -15,9 +15,11 @@ from tmchho.cli.display import display
 from tmchho.cli.failures import EXIT_CODES, NOT_ACCEPTED, debug_option
 from tmchho.cli.options import (
     PATH,
+    area,
     areas_option,
-    corners,
+    classes,
     json_option,
+    memory,
     output_option,
     overwrite_option,
     positive,
@@ -29,6 +31,7 @@ from tmchho.cli.options import (
 if TYPE_CHECKING:
     from tmchho import Config, ControlPoint, PosePrior
     from tmchho.cli.workflow import Outcome
+    from tmchho.selection import Selection
 
 _EXAMPLES = """\b
 Examples:
@@ -56,6 +59,8 @@ _REPLAYED = (
     "control_points",
     "crop_source",
     "crop_target",
+    "crop",
+    "keep_class",
     "max_seconds",
     "voxel_size",
     "fuse",
@@ -119,11 +124,33 @@ _REPLAYED = (
 )
 @click.option(
     "--crop-source",
-    callback=corners,
-    metavar="BOX",
-    help="xmin,ymin,zmin,xmax,ymax,zmax: only points of SOURCE in this box take part in finding the pose.",
+    callback=area,
+    metavar="AREA",
+    help="xmin,ymin,zmin,xmax,ymax,zmax, or a file with a polygon (GeoJSON, or lines with x y): only points "
+    "of SOURCE in it take part in finding the pose.",
 )
-@click.option("--crop-target", callback=corners, metavar="BOX", help="The same for TARGET.")
+@click.option("--crop-target", callback=area, metavar="AREA", help="The same for TARGET.")
+@click.option(
+    "--crop", callback=area, metavar="AREA", help="The same for both, where they lie in one frame already."
+)
+@click.option(
+    "--keep-class",
+    callback=classes,
+    metavar="CLASSES",
+    help="Only points of these classifications, such as 2,6, take part in finding the pose.",
+)
+@click.option(
+    "--assume-same-crs",
+    is_flag=True,
+    help="Go on where the coordinate reference systems of the files differ: the result is in that of TARGET.",
+)
+@click.option(
+    "--max-memory",
+    callback=memory,
+    metavar="SIZE",
+    help="Such as 2GB. LAS and LAZ files that need more are worked on in parts.  [default: half of the "
+    "machine's]",
+)
 @click.option(
     "--max-seconds",
     type=float,
@@ -140,8 +167,9 @@ _REPLAYED = (
 )
 @click.option(
     "--fuse",
-    type=click.Choice(["merge", "fill-holes"]),
-    help="Take all points of the source (merge, default), or only those that fill holes of the target.",
+    type=click.Choice(["merge", "dedup", "fill-holes"]),
+    help="Take all points of the source (merge, default), all but those that repeat the target (dedup), or "
+    "only those that fill holes of the target.",
 )
 @areas_option
 @tolerance_option
@@ -160,6 +188,8 @@ def register(
       fused.laz              both clouds in one, with the origin of each point
       source_registered.laz  SOURCE in the frame of TARGET, with all its attributes
       transform.txt          the 4 x 4 matrix from SOURCE to TARGET, as CloudCompare reads it
+      transform.json         the same in every form, also about pivots; for `tmchho apply`
+      pdal.json              a PDAL pipeline that moves SOURCE
       result.json            verdict, figures, settings and checksums
       report.html            the same for people, with pictures and a 3D view
       report_points.npz      the points that the report shows
@@ -170,19 +200,27 @@ def register(
 
     settings = _settings(options)
     replayed = {f"--{name.replace('_', '-')}": _word(options[name]) for name in _REPLAYED}
+    if options["assume_same_crs"]:
+        replayed["--assume-same-crs"] = ""
     command = replay_command(source, target, replayed)
+    job = Job(
+        source,
+        target,
+        output,
+        settings,
+        command,
+        overwrite,
+        max_memory=options["max_memory"],
+        assume_same_crs=options["assume_same_crs"],
+        selections=tuple(
+            _selection(options["crop"] or options[name], options["keep_class"])
+            for name in ("crop_source", "crop_target")
+        ),
+        areas=options["areas"],
+        tolerance=options["tolerance"],
+        has_report=options["report"],
+    )
     with display(quiet) as shown:
-        job = Job(
-            source,
-            target,
-            output,
-            settings,
-            command,
-            overwrite,
-            options["areas"],
-            options["tolerance"],
-            options["report"],
-        )
         outcome = run(job, shown)
     if as_json:
         from tmchho.outputs import json_text
@@ -199,20 +237,23 @@ def replay_command(source: Path, target: Path, options: dict[str, Any]) -> str:
     words = ["tmchho", "register", str(source), str(target), "-o", "replay"]
     for name, value in options.items():
         if value is not None:
-            words += [name, str(value)]
+            words += [name, str(value)] if value != "" else [name]
     return shlex.join(words)
 
 
 def summary(outcome: Outcome) -> str:
     """Return the result in words: verdict, figures, files, and what to do next."""
     lines = [outcome.registration.summary()]
-    if outcome.fused is not None:
-        counts = outcome.document["fused"]
+    counts = outcome.document["fused"]
+    if counts is not None:
         lines.append(
             f"fused: {counts['n_points']:,} points, {counts['n_from_target']:,} of the target and "
             f"{counts['n_from_source']:,} of the source; {counts['n_filled_by_source']:,} of these fill "
-            f"holes of the target (farther than {counts['hole_radius']:.4g} from it)"
+            f"holes of the target (farther than {counts['hole_radius']:.4g} from it), an area of "
+            f"{counts['area_filled_by_source']:.4g}"
         )
+        if counts["n_repeated"]:
+            lines.append(f"left out: {counts['n_repeated']:,} points of the source that repeat the target")
     lines += ["written:", *(f"  {path}" for path in outcome.files)]
     if outcome.registration.verdict == "review":
         lines.append(
@@ -238,8 +279,8 @@ def _settings(options: Mapping[str, Any]) -> Config:
         dof=None if dof is None else int(dof),
         known__prior=_prior(options["prior"], options["prior_sigma_deg"], options["prior_sigma"]),
         known__control_points=_control_points(options["control_points"]),
-        source_crop_m=options["crop_source"],
-        target_crop_m=options["crop_target"],
+        source_crop_m=_box(options["crop"] or options["crop_source"]),
+        target_crop_m=_box(options["crop"] or options["crop_target"]),
         coarse__max_seconds=options["max_seconds"],
         voxel__voxel_size_m=options["voxel_size"],
         fuse__mode=None if fuse is None else fuse.replace("-", "_"),
@@ -270,8 +311,23 @@ def _control_points(path: Path | None) -> tuple[ControlPoint, ...] | None:
     return None if path is None else read_control_points(path)
 
 
+def _box(area: Any) -> Any:
+    """Return a box, which the core takes; polygons are cut out before."""
+    return None if isinstance(area, Path) else area
+
+
+def _selection(area: Any, classes: tuple[int, ...]) -> Selection:
+    from tmchho.selection import Selection, read_polygon
+
+    return Selection(read_polygon(area) if isinstance(area, Path) else None, classes)
+
+
 def _word(value: Any) -> str | None:
     """Return the value of an option as somebody would type it."""
+    if value == ():
+        return None
+    if isinstance(value, tuple) and isinstance(value[0], int):
+        return ",".join(map(str, value))
     if isinstance(value, tuple):
         return ",".join(repr(number) for corner in value for number in corner)
     return None if value is None else str(value)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,11 @@ from tmchho.cli.display import Display
 from tmchho.errors import InvalidCloudError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
+
     from tmchho import Config, FusedCloud, PointCloud, Registration
+    from tmchho.selection import Selection
 
     Remarks = Callable[[PointCloud, Registration], dict[str, Any]]
 
@@ -33,6 +37,12 @@ class Job:
         Command line that gives the same result again.
     overwrite : bool
         Replace results of an earlier run.
+    max_memory : int, optional
+        Bytes to keep to; files that need more are worked on in parts. Half of the machine's where not given.
+    assume_same_crs : bool, default False
+        Go on where the coordinate reference systems differ.
+    selections : (Selection, Selection), optional
+        Which points of source and target take part in finding the pose.
     areas : Path, optional
         Polygons by which distances are summed up; five strips along the overlap where not given.
     tolerance : float, optional
@@ -47,6 +57,9 @@ class Job:
     settings: Config
     command: str
     overwrite: bool = False
+    max_memory: int | None = None
+    assume_same_crs: bool = False
+    selections: tuple[Selection, ...] = ()
     areas: Path | None = None
     tolerance: float | None = None
     has_report: bool = True
@@ -54,10 +67,9 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of it: the fused cloud is None where the pose was rejected."""
+    """What came of it."""
 
     registration: Registration
-    fused: FusedCloud | None
     document: dict[str, Any]
     files: tuple[Path, ...]
 
@@ -77,7 +89,8 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
     shown : Display
         Where progress goes.
     remarks : callable, optional
-        Gets the source cloud and the registration, and returns further entries of ``result.json``.
+        Gets the source cloud and the registration, and returns further entries of ``result.json``. Files are
+        then read as wholes, whatever their size.
 
     Returns
     -------
@@ -88,31 +101,42 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
     TmchhoError
         As its class says; no file was written then.
     """
-    from tmchho import fuse, read_areas, register
+    from tmchho import fuse, read_areas
     from tmchho.evaluation import distance_entries
-    from tmchho.outputs import OUTPUTS, REPORT, InputFile, check_folder, result_document
+    from tmchho.outputs import OUTPUTS, REPORT, InputFile, check_folder, fused_counts, result_document
     from tmchho.report.described import describe
+    from tmchho.streams import default_max_memory, needs_streams
 
     paths = (job.source, job.target)
     check_folder(job.folder, names=(*OUTPUTS, REPORT), overwrite=job.overwrite, inputs=paths)
+    allowed = default_max_memory() if job.max_memory is None else job.max_memory
+    if remarks is None and needs_streams(paths, allowed):
+        from tmchho.cli.streamed import run_streamed
+
+        return _reported(run_streamed(job, shown, allowed), job, shown)
     source, target = (_read(path, shown) for path in paths)
-    _compare_crs(source, target, shown)
+    check_crs(
+        *((cloud.name, cloud.crs, *_box(cloud)) for cloud in (source, target)),
+        assume_same=job.assume_same_crs,
+        shown=shown,
+    )
     areas = None if job.areas is None else read_areas(job.areas, target.crs)
     with shown.step("read", "taking checksums"):
         files = (InputFile.of(job.source, len(source)), InputFile.of(job.target, len(target)))
     with shown.step("register"):
-        registration = register(source, target, config=job.settings, progress=shown.on_event)
+        registration = _register(job, source, target, shown)
     for path, n_dropped in zip(paths, registration.n_non_finite, strict=True):
         if n_dropped:
             shown.warn(f"{path}: {n_dropped:,} points left out because a coordinate is not finite")
-    fused = None
+    fused, counts = None, None
     if registration.verdict != "rejected":
         options = registration.config["fuse"]
         with shown.step("fuse", "fusing"):
             fused = fuse(
                 source, target, registration, mode=options["mode"], hole_radius=options["hole_radius_m"]
             )
-    document = result_document(registration, *files, fused, job.command)
+            counts = fused_counts(fused, source, target, options["mode"])
+    document = result_document(registration, *files, counts, job.command)
     for side, cloud in (("source", source), ("target", target)):
         document["inputs"][side] = {**document["inputs"][side], **describe(cloud, crs_name(cloud.crs))}
     if fused is not None:
@@ -122,9 +146,7 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
         document |= remarks(source, registration)
     with shown.step("write", "writing"):
         written = _write(job, registration, source, target, fused, document)
-    if job.has_report:
-        written += _report(job.folder, shown)
-    return Outcome(registration, fused, document, written)
+    return _reported(Outcome(registration, document, written), job, shown)
 
 
 def _read(path: Path, shown: Display) -> PointCloud:
@@ -136,18 +158,90 @@ def _read(path: Path, shown: Display) -> PointCloud:
     return cloud
 
 
-def _compare_crs(source: PointCloud, target: PointCloud, shown: Display) -> None:
-    for cloud in (source, target):
-        if is_geographic(cloud.crs):
+def _register(job: Job, source: PointCloud, target: PointCloud, shown: Display) -> Registration:
+    """Find the pose, for the points that were selected, and measure the distances of all."""
+    from tmchho import evaluate, register
+
+    if not any(job.selections):
+        return register(source, target, config=job.settings, progress=shown.on_event)
+    clouds = [
+        selection.of(cloud) if selection else cloud
+        for selection, cloud in zip(job.selections, (source, target), strict=True)
+    ]
+    for cloud in clouds:
+        shown.note(f"{cloud.name}: {len(cloud):,} points take part in finding the pose")
+    found = register(*clouds, config=job.settings, progress=shown.on_event)
+    measured = evaluate(source, target, found, tolerance=found.max_distance)
+    assert measured.source_to_target_statistics is not None
+    assert measured.target_to_source_statistics is not None
+    shares = [share or 0.0 for share in measured.share_within or (0.0, 0.0)]
+    return replace(
+        found,
+        source_to_target=measured.source_to_target_statistics,
+        target_to_source=measured.target_to_source_statistics,
+        overlap_of_source=shares[0],
+        overlap_of_target=shares[1],
+    )
+
+
+def _box(cloud: PointCloud) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    import numpy as np
+
+    finite = cloud.xyz[np.isfinite(cloud.xyz).all(axis=1)]
+    if not len(finite):
+        return np.zeros(3), np.zeros(3)
+    return finite.min(axis=0), finite.max(axis=0)
+
+
+def check_crs(
+    source: tuple[str, str | None, ArrayLike, ArrayLike],
+    target: tuple[str, str | None, ArrayLike, ArrayLike],
+    *,
+    assume_same: bool,
+    shown: Display,
+) -> None:
+    """Refuse what makes a pose meaningless, and warn of what may.
+
+    Parameters
+    ----------
+    source, target : tuple
+        Name, coordinate reference system as WKT or None, lower and upper corner of the box.
+    assume_same : bool
+        Only warn where the systems differ.
+    shown : Display
+        Where warnings go.
+
+    Raises
+    ------
+    InvalidCloudError
+        If coordinates are degrees, or the systems differ.
+    """
+    from tmchho.crs import crs_differences, crs_doubts
+
+    for name, crs, low, high in (source, target):
+        if is_geographic(crs):
             raise InvalidCloudError(
-                f"{cloud.name}: coordinates are degrees of {crs_name(cloud.crs)}, in which no rigid pose "
+                f"{name}: coordinates are degrees of {crs_name(crs)}, in which no rigid pose "
                 "exists; project the cloud to metres first"
             )
-    if source.crs is not None and target.crs is not None and source.crs != target.crs:
-        shown.warn(
-            f"{source.name} is in {crs_name(source.crs)}, {target.name} in {crs_name(target.crs)}; "
-            "the result is in that of the target"
+        for doubt in crs_doubts(crs, low, high):
+            shown.warn(f"{name}: {doubt}")
+    differences = crs_differences(source[1], target[1])
+    if not differences:
+        return
+    said = f"{source[0]} and {target[0]}: {'; '.join(differences)}"
+    if not assume_same:
+        raise InvalidCloudError(
+            f"{said}; bring both into one system first (for example by `pdal translate` with "
+            "filters.reprojection), or give --assume-same-crs if a label is wrong"
         )
+    shown.warn(f"{said}; both are taken for that of the target, because --assume-same-crs was given")
+
+
+def scales_of(cloud: PointCloud) -> tuple[float, ...] | None:
+    """Return the steps in which a LAS file stores coordinates, None for other files."""
+    header = cloud.metadata.get("header") if cloud.metadata.get("format") == "las" else None
+    return None if header is None else header.scales
 
 
 def _write(
@@ -159,50 +253,57 @@ def _write(
     document: Mapping[str, Any],
 ) -> tuple[Path, ...]:
     from tmchho import write
+    from tmchho.moving import turned
     from tmchho.outputs import (
         FUSED,
-        OUTPUTS,
-        REPORT,
-        REPORT_PDF,
         REPORT_POINTS,
         RESULT,
         SOURCE_REGISTERED,
-        TRANSFORM,
         json_text,
-        matrix_text,
         moved_source,
+        pose_files,
         write_together,
     )
     from tmchho.report.points import points_of
+    from tmchho.transform import Transform
 
     # Listed first, result.json appears last: where it is, the others are.
     files = {RESULT: lambda path: path.write_text(json_text(document), encoding="utf-8", newline="\n")}
     points = points_of(registration, source, target, fused)
     files[REPORT_POINTS] = points.save
     if fused is not None:
-        merged = fused.to_point_cloud(source, target)
+        merged = fused.to_point_cloud(turned(source, Transform.of(registration)), target)
         moved = moved_source(registration, source, target)
         files |= {
-            TRANSFORM: lambda path: path.write_text(
-                matrix_text(registration.transformation), encoding="utf-8"
-            ),
+            **pose_files(registration, str(job.source), source.crs, target.crs, scales_of(target)),
             SOURCE_REGISTERED: lambda path: write(moved, path, like=target),
             FUSED: lambda path: write(merged, path, like=target),
         }
     write_together(job.folder, files, overwrite=job.overwrite, inputs=(job.source, job.target))
-    for name in {*OUTPUTS, REPORT, REPORT_PDF} - set(files):
-        # Left from an earlier run, it would be taken for the result of this one.
-        (job.folder / name).unlink(missing_ok=True)
-    return tuple(job.folder / name for name in OUTPUTS if name in files)
+    return remove_others(job.folder, files)
 
 
-def _report(folder: Path, shown: Display) -> tuple[Path, ...]:
+def remove_others(folder: Path, names: Iterable[str]) -> tuple[Path, ...]:
+    """Remove outputs that were not written: left from an earlier run, they would be taken for ours.
+
+    Returns the paths of those that were.
+    """
+    from tmchho.outputs import OUTPUTS, REPORT, REPORT_PDF
+
+    for name in {*OUTPUTS, REPORT, REPORT_PDF} - set(names):
+        (folder / name).unlink(missing_ok=True)
+    return tuple(folder / name for name in OUTPUTS if name in names)
+
+
+def _reported(outcome: Outcome, job: Job, shown: Display) -> Outcome:
     """Make the report from what was just written; without the libraries for it, say so and go on."""
     from tmchho.report import missing_extras, write_report
 
+    if not job.has_report:
+        return outcome
     missing = missing_extras()
     if missing is not None:
-        shown.note(f"{folder / 'report.html'} was not made: {missing}")
-        return ()
+        shown.note(f"{job.folder / 'report.html'} was not made: {missing}")
+        return outcome
     with shown.step("report", "making the report"):
-        return write_report(folder)
+        return replace(outcome, files=(*outcome.files, *write_report(job.folder)))

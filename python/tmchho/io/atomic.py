@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tmchho.errors import TmchhoError, WriteError
@@ -61,6 +61,7 @@ def atomic_path(path: StrPath, overwrite: bool = False, inputs: Iterable[StrPath
         _flush_to_disk(temporary)
         check_output(path, overwrite, inputs)  # another program may have been quicker
         os.replace(temporary, target)
+        _flush_folder(target.parent)
     except TmchhoError:
         raise
     except OSError as error:
@@ -134,6 +135,16 @@ def reason(error: BaseException) -> str:
         return error.strerror
     lines = str(error).strip().splitlines()
     return lines[0][:200] if lines else type(error).__name__
+
+
+def _flush_folder(folder: Path) -> None:
+    """Wait until the new name is on the disk, where the system can: a power cut must not bring the old one."""
+    with suppress(OSError):  # Windows opens no folders, and some network drives sync none
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _flush_to_disk(path: Path) -> None:

@@ -37,7 +37,10 @@ class Grid:
 
     def holds(self, lowest: NDArray[np.float64], highest: NDArray[np.float64]) -> bool:
         """Return whether everything between two corners fits into 32 bits."""
-        steps = self.steps(np.stack([lowest, highest]))
+        return self.holds_steps(self.steps(np.stack([lowest, highest])))
+
+    def holds_steps(self, steps: NDArray[np.float64]) -> bool:
+        """Return whether whole numbers fit into 32 bits."""
         return bool(np.isfinite(steps).all() and (np.abs(steps) <= _LIMIT).all())
 
 
@@ -66,7 +69,7 @@ def new_grid(xyz: NDArray[np.float64]) -> Grid:
     resolution = np.spacing(np.abs(np.stack([lowest, highest])).max(axis=0))
     scales[is_small] = np.clip(fine, _power_of_ten_above(resolution[is_small]), usual)
     scales[extents == 0] = scales.min()  # a flat axis is as fine as the others
-    return _fitted(lowest, highest, scales)
+    return fitted_grid(lowest, highest, scales)
 
 
 def kept_grid(xyz: NDArray[np.float64], scales: Any, offsets: Any, is_own: bool) -> Grid:
@@ -90,13 +93,17 @@ def kept_grid(xyz: NDArray[np.float64], scales: Any, offsets: Any, is_own: bool)
         return fresh
     if grid.holds(lowest, highest):
         return grid
-    fitted = _fitted(lowest, highest, np.abs(grid.scales))
-    logger.info("offset %s cannot reach the coordinates; using %s", tuple(offsets), fitted.offsets)
+    fitted = fitted_grid(lowest, highest, np.abs(grid.scales))
+    logger.warning(
+        "offset %s cannot reach the coordinates; written with %s", list(offsets), fitted.offsets.tolist()
+    )
     return fitted
 
 
-def _fitted(lowest: NDArray[np.float64], highest: NDArray[np.float64], scales: NDArray[np.float64]) -> Grid:
-    """Choose round offsets, and coarser scales only if 32 bits are too few for the extent."""
+def fitted_grid(
+    lowest: NDArray[np.float64], highest: NDArray[np.float64], scales: NDArray[np.float64]
+) -> Grid:
+    """Return a grid with round offsets, and coarser scales only if 32 bits are too few for the extent."""
     scales = scales.copy()
     while True:
         grid = Grid(scales, _round_below(lowest, scales))

@@ -96,12 +96,23 @@ class LasHeader:
     records: tuple[Record, ...]
     extended_records: tuple[Record, ...]
 
+    @property
+    def has_waveforms(self) -> bool:
+        """Whether the points carry packets of a waveform, which LAZ has no room for."""
+        return self.point_format in (4, 5, 9, 10)
+
     def find(self, key: tuple[str, int]) -> bytes | None:
         """Return the bytes of the first record with that owner and number, None if there is none."""
         for record in (*self.records, *self.extended_records):
             if record.key == key:
                 return record.data
         return None
+
+    def find_all(self, key: tuple[str, int]) -> bytes:
+        """Return the bytes of all records with that owner and number, one after the other."""
+        return b"".join(
+            record.data for record in (*self.records, *self.extended_records) if record.key == key
+        )
 
 
 def read_header(path: Path) -> LasHeader:

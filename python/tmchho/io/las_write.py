@@ -6,7 +6,8 @@ Source: ASPRS, "LAS Specification 1.4 - R15" (2019).
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
@@ -77,16 +78,53 @@ def write_las(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
     else:
         grid = kept_grid(cloud.xyz, old.scales, old.offsets, is_own=cloud.metadata.get("header") == old)
 
+    dimensions = [dimension.parameters for dimension, _ in extra]
+    with open_las_writer(
+        path, old, (number, version), grid, dimensions, crs=cloud.crs, kept_crs=kept.get("crs")
+    ) as (writer, point_format):
+        points = _points(cloud, grid, standard, extra, point_format)
+        for start in range(0, len(points), _POINTS_AT_ONCE):
+            writer.write_points(points[start : start + _POINTS_AT_ONCE])
+
+
+@contextmanager
+def open_las_writer(
+    path: Path,
+    old: LasHeader | None,
+    layout: tuple[int, tuple[int, int]],
+    grid: Grid,
+    dimensions: Sequence[laspy.ExtraBytesParams],
+    *,
+    crs: str | None,
+    kept_crs: str | None,
+) -> Iterator[tuple[Any, Any]]:
+    """Open a file for points of one layout; lends laspy's writer and the point format.
+
+    Parameters
+    ----------
+    path : Path
+        LAZ if the name ends in .laz.
+    old : LasHeader, optional
+        The file whose records and identity are kept.
+    layout : (int, (int, int))
+        Point format and version.
+    grid : Grid
+        Scale and offset.
+    dimensions : sequence of laspy.ExtraBytesParams
+        The extra dimensions.
+    crs, kept_crs : str, optional
+        Coordinate reference system of the new file, and that of `old`, whose records stay where both agree.
+    """
+    number, version = layout
     header = _new_header(number, version, old, grid)
-    header.add_extra_dims([dimension.parameters for dimension, _ in extra])
-    records, extended_records = _records(cloud, kept, old, version)
+    header.add_extra_dims(list(dimensions))
+    records, extended_records = _records(crs, kept_crs, old, version)
     header.vlrs = [_for_laspy(record) for record in records]
     if any(record.key == WKT for record in records) and number >= _EXTENDED:
         header.global_encoding.value |= _WKT_BIT
-    points = _points(cloud, grid, standard, extra, header.point_format)
+    is_compressed = path.suffix.lower() == ".laz"
     with laspy.open(path, "w", header=header, do_compress=is_compressed) as writer:
-        for start in range(0, len(points), _POINTS_AT_ONCE):
-            writer.write_points(points[start : start + _POINTS_AT_ONCE])
+        yield writer, header.point_format
         if extended_records:
             writer.write_evlrs(laspy.vlrs.vlrlist.VLRList(map(_for_laspy, extended_records)))
 
@@ -130,6 +168,18 @@ def _choose_format(attributes: dict[str, NDArray[Any]], old: LasHeader | None) -
     return number, version
 
 
+def format_for(old: LasHeader, other: LasHeader) -> tuple[int, tuple[int, int]]:
+    """Return the point format and version of `old`, raised only where they cannot hold the points of `other`.
+
+    Waveforms, which stand in a file of their own, are left out.
+    """
+    needed = (set(_FEATURES[old.point_format]) | set(_FEATURES[other.point_format])) - {"wave"}
+    is_extended = max(old.point_format, other.point_format) >= _EXTENDED or "nir" in needed
+    candidates = range(_EXTENDED, 11) if is_extended else range(_EXTENDED)
+    number = next(candidate for candidate in candidates if needed <= _FEATURES[candidate])
+    return number, max(_OLDEST_VERSIONS[number], old.version)
+
+
 def _needs_extended(attributes: dict[str, NDArray[Any]]) -> bool:
     if np.any(attributes.get("scan_angle", 0)):
         return True
@@ -148,7 +198,7 @@ def _sorted_out(
     standard: dict[str, NDArray[Any]] = {}
     extra: dict[str, NDArray[Any]] = {}
     dimensions = {dimension.name: dimension for dimension in point_format.dimensions}
-    attributes = _with_scan_angle(attributes, dimensions)
+    attributes = with_scan_angle(attributes, dimensions)
     for name, values in attributes.items():
         dimension = dimensions.get(name)
         if dimension is None:
@@ -166,14 +216,14 @@ def _sorted_out(
     return standard, _extra_dimensions(extra, {dimension.name: dimension for dimension in kept})
 
 
-def _with_scan_angle(
-    attributes: dict[str, NDArray[Any]], dimensions: Mapping[str, Any]
+def with_scan_angle(
+    attributes: dict[str, NDArray[Any]], dimensions: Container[str]
 ) -> dict[str, NDArray[Any]]:
     """Turn the whole degrees of the legacy formats into the finer steps of the extended ones."""
     if "scan_angle" not in dimensions or "scan_angle_rank" not in attributes or "scan_angle" in attributes:
         return attributes
     result = dict(attributes)
-    result["scan_angle"] = np.rint(result.pop("scan_angle_rank") / _DEGREES_PER_STEP)
+    result["scan_angle"] = np.rint(result.pop("scan_angle_rank") / _DEGREES_PER_STEP).astype(np.int16)
     return result
 
 
@@ -215,15 +265,14 @@ def _new_header(number: int, version: tuple[int, int], old: LasHeader | None, gr
 
 
 def _records(
-    cloud: PointCloud, kept: Mapping[str, Any], old: LasHeader | None, version: tuple[int, int]
+    crs: str | None, kept_crs: str | None, old: LasHeader | None, version: tuple[int, int]
 ) -> tuple[list[Record], list[Record]]:
     """Return the records for before and after the points; those of the old file byte for byte."""
     dropped = set(_NOT_KEPT)
     records: list[Record] = []
-    is_new_crs = cloud.crs is not None and (old is None or cloud.crs != kept.get("crs"))
-    if cloud.crs is not None and is_new_crs:
+    if crs is not None and (old is None or crs != kept_crs):
         dropped |= _CRS_RECORDS
-        data = cloud.crs.encode() + b"\0"
+        data = crs.encode() + b"\0"
         if len(data) > _MAX_RECORD_BYTES:
             raise WriteError(f"the coordinate reference system takes {len(data)} bytes, more than LAS holds")
         records.append(Record(*WKT, "OGC coordinate system WKT", data))

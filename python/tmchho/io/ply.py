@@ -31,8 +31,8 @@ from tmchho.io.fields import (
     record_array,
     split_columns,
 )
-from tmchho.io.format import Format
-from tmchho.io.table import parse_table
+from tmchho.io.format import Format, starts_with
+from tmchho.io.table import parse_table, write_table
 
 logger = logging.getLogger(__name__)
 
@@ -92,7 +92,7 @@ def _read(path: Path) -> PointCloud:
     else:
         columns = _read_binary(path, header, before, vertex)
     names = canonical_names([name for name, _ in vertex.properties])
-    metadata = {"format": "ply", "comments": tuple(header.comments)}
+    metadata = {"format": "ply", "comments": tuple(header.comments), "byte_order": header.byte_order}
     return cloud_from_columns(dict(zip(names, columns, strict=True)), metadata, str(path))
 
 
@@ -181,10 +181,12 @@ def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
     attributes = split_columns(colours_as_8_bit(attributes_to_write(cloud)))
     columns.update({name: _without_long_integers(name, values) for name, values in attributes.items()})
     kinds = [values.dtype.str[1:] for values in columns.values()]
-    comments = kept.get("comments", ()) if kept.get("format") == "ply" else ()
+    layout = kept if kept.get("format") == "ply" else {}
+    comments, byte_order = layout.get("comments", ()), layout.get("byte_order", "<")
+    encoding = next(name for name, order in _BYTE_ORDERS.items() if order == byte_order)
     lines = [
         "ply",
-        "format binary_little_endian 1.0",
+        f"format {encoding} 1.0",
         *comments,
         f"element vertex {len(cloud)}",
         *(f"property {_TYPE_NAMES[kind]} {name}" for name, kind in zip(columns, kinds, strict=True)),
@@ -192,7 +194,10 @@ def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
     ]
     with path.open("wb") as stream:
         stream.write("\n".join(lines).encode())
-        record_array(columns, map(np.dtype, kinds), len(cloud)).tofile(stream)
+        if byte_order is None:
+            write_table(stream, list(columns.values()), b" ")
+        else:
+            record_array(columns, map(np.dtype, kinds), len(cloud), byte_order).tofile(stream)
 
 
 def _without_long_integers(name: str, values: NDArray[Any]) -> NDArray[Any]:
@@ -210,8 +215,7 @@ def _without_long_integers(name: str, values: NDArray[Any]) -> NDArray[Any]:
 FORMAT = Format(
     name="PLY",
     extensions=(".ply",),
-    first_bytes=(b"ply\n", b"ply\r", b"ply "),
-    mark_is_needed=True,
+    recognises=starts_with(b"ply\n", b"ply\r", b"ply "),
     read=_read,
     write=_write,
 )

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tmchho.cloud import PointCloud
 from tmchho.stages import median_spacing
+
+if TYPE_CHECKING:
+    from tmchho.io.las_stream import LasPoints
 
 
 def describe(cloud: PointCloud, crs: str | None) -> dict[str, Any]:
@@ -38,6 +41,21 @@ def describe(cloud: PointCloud, crs: str | None) -> dict[str, Any]:
         "lowest": finite.min(axis=0).tolist(),
         "highest": finite.max(axis=0).tolist(),
         "attributes": sorted(cloud.attributes),
+    }
+
+
+def describe_parts(file: LasPoints, crs: str | None) -> dict[str, Any]:
+    """Return the same of a file too large to hold: what its header says, and no spacing."""
+    named = PointCloud(np.empty((0, 3)), metadata={"header": file.header})
+    return {
+        "format": "las",
+        "sensor": sensor_words(named),
+        "crs": crs,
+        "unit": length_unit(file.crs),
+        "spacing": None,
+        "lowest": list(file.header.minima),
+        "highest": list(file.header.maxima),
+        "attributes": sorted(set(file.point_format.dimension_names) - {"X", "Y", "Z"}),
     }
 
 

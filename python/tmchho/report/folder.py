@@ -9,8 +9,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError
-from tmchho.io import check_output, read
+from tmchho.io import check_output, open_las
 from tmchho.outputs import FIGURES, FUSED, REPORT, REPORT_PDF, REPORT_POINTS, RESULT, write_together
 from tmchho.report.browser import find_browser, print_to_pdf
 from tmchho.report.change import load_change
@@ -91,7 +92,9 @@ def _points(folder: Path, document: Mapping[str, Any]) -> ReportPoints | None:
         return ReportPoints.load(folder / REPORT_POINTS)
     if document.get("fused") is None or not (folder / FUSED).exists():
         return None
-    return points_of_fused([read(folder / FUSED)], document["seed"], document["voxel_size"])
+    file = open_las(folder / FUSED)
+    parts = (PointCloud(file.xyz(file.steps(part)), file.attributes(part)) for part in file.parts())
+    return points_of_fused(parts, document["seed"], document["voxel_size"])
 
 
 def read_result(folder: Path) -> Mapping[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError
-from tmchho.fused import FusedCloud
 from tmchho.report.points import MAX_POINTS, ReportPoints, choose
 
 _NEEDED = ("origin", "fills_hole", "C2C_absolute_distances")
@@ -19,7 +19,15 @@ _SHOWN = (*_NEEDED, "red", "green", "blue", "intensity")
 _HELD = 4 * MAX_POINTS
 
 # Keys that settle which points are held, coordinates, and attributes.
-_Held: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], dict[str, NDArray[Any]]]
+_Kept: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], dict[str, NDArray[Any]]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    origin: NDArray[np.uint8]
+    index: NDArray[np.uint32]
+    fills_hole: NDArray[np.bool_]
+    distance: NDArray[np.float64]
 
 
 def points_of_fused(parts: Iterable[PointCloud], seed: int, edge: float) -> ReportPoints:
@@ -44,7 +52,7 @@ def points_of_fused(parts: Iterable[PointCloud], seed: int, edge: float) -> Repo
     ReadError
         If an attribute is missing.
     """
-    held: dict[int, _Held] = {}
+    held: dict[int, _Kept] = {}
     for number, part in enumerate(parts):
         missing = [name for name in _NEEDED if name not in part.attributes]
         if missing:
@@ -59,20 +67,16 @@ def points_of_fused(parts: Iterable[PointCloud], seed: int, edge: float) -> Repo
     clouds = [PointCloud(held[origin][1], held[origin][2]) for origin in (0, 1)]
     target, source = clouds
     counts = [len(cloud) for cloud in clouds]
-    fused = FusedCloud(
-        points=np.concatenate([cloud.xyz for cloud in clouds]),
-        origin=np.repeat(np.array([0, 1], dtype=np.uint8), counts),
-        index=np.concatenate([np.arange(count, dtype=np.uint32) for count in counts]),
-        fills_hole=_joined(clouds, "fills_hole").astype(bool),
-        distance=_joined(clouds, "C2C_absolute_distances").astype(np.float64),
-        hole_radius=float("nan"),
-        n_filled_by_source=int(np.count_nonzero(source.attributes["fills_hole"])),
-        n_filled_by_target=int(np.count_nonzero(target.attributes["fills_hole"])),
+    fused = _Held(
+        np.repeat(np.array([0, 1], dtype=np.uint8), counts),
+        np.concatenate([np.arange(count, dtype=np.uint32) for count in counts]),
+        np.concatenate([cloud.attributes["fills_hole"] for cloud in clouds]).astype(bool),
+        np.concatenate([cloud.attributes["C2C_absolute_distances"] for cloud in clouds]).astype(np.float64),
     )
     return choose(source, target, np.asarray, fused, seed, edge)
 
 
-def _fewest(before: _Held | None, new: _Held) -> _Held:
+def _fewest(before: _Kept | None, new: _Kept) -> _Kept:
     """Return the points of both with the smallest keys."""
     if before is not None:
         values = {name: np.concatenate([before[2][name], new[2][name]]) for name in before[2]}
@@ -81,7 +85,3 @@ def _fewest(before: _Held | None, new: _Held) -> _Held:
         return new
     kept = np.sort(np.argpartition(new[0], _HELD)[:_HELD])
     return new[0][kept], new[1][kept], {name: values[kept] for name, values in new[2].items()}
-
-
-def _joined(clouds: list[PointCloud], name: str) -> NDArray[Any]:
-    return np.concatenate([cloud.attributes[name] for cloud in clouds])

@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,26 @@ MAX_POINTS = 300_000
 N_STEPS = 65_535
 NO_COLOUR = 150  # grey
 _COLOURS = ("red", "green", "blue")
+
+
+class Fusion(Protocol):
+    """What is asked of a fused cloud; see `tmchho.FusedCloud`."""
+
+    @property
+    def origin(self) -> NDArray[np.uint8]:
+        """0 for points of the target, 1 for points of the source."""
+
+    @property
+    def index(self) -> NDArray[np.uint32]:
+        """Row of the point in its own cloud."""
+
+    @property
+    def fills_hole(self) -> NDArray[np.bool_]:
+        """Whether the other cloud has no point nearby."""
+
+    @property
+    def distance(self) -> NDArray[np.float64]:
+        """Distance to the nearest point of the other cloud."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +159,7 @@ def choose(
     source: PointCloud,
     target: PointCloud,
     move: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    fused: FusedCloud | None,
+    fused: Fusion | None,
     seed: int,
     edge: float,
     max_points: int = MAX_POINTS,
@@ -283,7 +303,7 @@ def _shares(counts: list[int], most: int) -> list[int]:
 
 
 def _fused_values(
-    fused: FusedCloud | None, counts: list[int]
+    fused: Fusion | None, counts: list[int]
 ) -> tuple[list[NDArray[np.float32]], list[NDArray[np.bool_]], list[NDArray[np.bool_]]]:
     """Return distance, whether a hole is filled, and whether fused, for every row of target and source."""
     distance = [np.full(count, np.nan, dtype=np.float32) for count in counts]

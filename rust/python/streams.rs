@@ -1,0 +1,222 @@
+//! What clouds larger than memory are worked on with: sums by voxel, and tiles.
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use super::arrays::{ReadArray, dict, from_points, from_vec, points};
+use super::run::{briefly, with_progress};
+use crate::cloud::{Cloud, Point};
+use crate::error::Error;
+use crate::neighbors::{Neighbor, NeighborIndex, Places};
+use crate::overlap;
+use crate::parallel;
+use crate::running_voxels::{self, Thinned};
+use crate::{fuse, surface_area};
+
+/// Sums up points by voxels, part by part.
+#[pyclass(module = "tmchho._core")]
+pub(super) struct RunningVoxels(Option<running_voxels::RunningVoxels>);
+
+#[pymethods]
+impl RunningVoxels {
+    #[new]
+    fn new(low: Point, high: Point, voxel_size: f64, max_voxels: usize) -> PyResult<Self> {
+        briefly(|| {
+            let voxels = running_voxels::RunningVoxels::new(low, high, voxel_size, max_voxels)?;
+            Ok(Self(Some(voxels)))
+        })
+    }
+
+    /// Adds the next part of the cloud.
+    fn add(&mut self, py: Python<'_>, array: ReadArray<'_>) -> PyResult<()> {
+        let part = points(&array)?;
+        let voxels = self.0.as_mut();
+        with_progress(py, None, |_| voxels.ok_or_else(finished)?.add(part))
+    }
+
+    /// The centroids, how many points each stands for, and the edge; nothing can be added any more.
+    fn finish<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let voxels = self.0.take();
+        let Thinned {
+            points,
+            n_points,
+            voxel_size_m,
+        } = with_progress(py, None, |_| Ok(voxels.ok_or_else(finished)?.finish()))?;
+        briefly(|| {
+            Ok(dict! { py,
+                "points": from_points(py, points)?,
+                "counts": from_vec(py, n_points),
+                "voxel_size": voxel_size_m,
+            })
+        })
+    }
+}
+
+fn finished() -> Error {
+    Error::argument("voxels", "are finished; begin anew")
+}
+
+/// From each of the first `n_own` rows of `places` to the nearest row of `others` within
+/// `max_distance`, infinite where there is none; with `repeated`, also which of them repeat a
+/// point of `others`. All rows of `places` tell how dense that cloud is.
+#[pyfunction]
+pub(super) fn distances_within<'py>(
+    py: Python<'py>,
+    places: ReadArray<'py>,
+    n_own: usize,
+    others: ReadArray<'py>,
+    max_distance: f64,
+    repeated: bool,
+) -> PyResult<(Bound<'py, PyAny>, Option<Bound<'py, PyAny>>)> {
+    let (places, others) = (points(&places)?, points(&others)?);
+    let (distances, repeated) = with_progress(py, None, |progress| {
+        let own = places
+            .get(..n_own)
+            .ok_or_else(|| Error::argument("n_own", "exceeds the number of rows"))?;
+        let others = Cloud::of_any_shape("cloud that distances are measured to", others)?;
+        let origin = others.origin();
+        let to_local = |p: &Point| std::array::from_fn(|axis| p[axis] - origin[axis]);
+        let local: Vec<Point> = own.iter().map(to_local).collect();
+        let index = NeighborIndex::new(others.points());
+        let max_sq = max_distance * max_distance;
+        let nearest = index.nearest_all_within(&Places::new(&local), max_sq, progress)?;
+        let flags = match repeated {
+            false => None,
+            true => {
+                let all: Vec<Point> = places.iter().map(to_local).collect();
+                let own_index = NeighborIndex::new(&all);
+                Some(overlap::repeated(
+                    &nearest, &own_index, 1.0, &index, progress,
+                )?)
+            }
+        };
+        let distance =
+            |found: &Option<Neighbor>| found.map_or(f32::INFINITY, |n| n.distance_sq.sqrt() as f32);
+        Ok((nearest.iter().map(distance).collect::<Vec<f32>>(), flags))
+    })?;
+    briefly(|| {
+        Ok((
+            from_vec(py, distances),
+            repeated.map(|flags| from_vec(py, flags)),
+        ))
+    })
+}
+
+/// The number of the tile of each row: `axes` and `places` are the cuts of a complete binary tree, and
+/// what lies above a cut goes to its second branch.
+#[pyfunction]
+pub(super) fn tile_of<'py>(
+    py: Python<'py>,
+    array: ReadArray<'py>,
+    axes: Vec<u8>,
+    places: Vec<f64>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let given = points(&array)?;
+    let tiles = with_progress(py, None, |progress| {
+        let is_tree = axes.len() == places.len()
+            && (axes.len() + 1).is_power_of_two()
+            && axes.len() <= usize::from(u16::MAX)
+            && axes.iter().all(|&axis| axis < 3);
+        if !is_tree {
+            return Err(Error::argument("cuts", "must be a complete binary tree"));
+        }
+        let n_levels = (axes.len() + 1).ilog2();
+        parallel::map_cheap(given.len(), progress, |i| {
+            let node = (0..n_levels).fold(0, |node, _| {
+                let above = given[i][usize::from(axes[node])] > places[node];
+                2 * node + 1 + usize::from(above)
+            });
+            (node - axes.len()) as u16
+        })
+    })?;
+    briefly(|| Ok(from_vec(py, tiles)))
+}
+
+/// Points that distances are measured to, again and again.
+#[pyclass(module = "tmchho._core", frozen)]
+pub(super) struct PointIndex {
+    origin: Point,
+    index: NeighborIndex,
+}
+
+#[pymethods]
+impl PointIndex {
+    #[new]
+    fn new(py: Python<'_>, array: ReadArray<'_>) -> PyResult<Self> {
+        let given = points(&array)?;
+        with_progress(py, None, |_| {
+            let cloud = Cloud::of_any_shape("cloud that distances are measured to", given)?;
+            Ok(Self {
+                origin: cloud.origin(),
+                index: NeighborIndex::new(cloud.points()),
+            })
+        })
+    }
+
+    /// From each row to the nearest of the points.
+    fn distances<'py>(
+        &self,
+        py: Python<'py>,
+        array: ReadArray<'py>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let given = points(&array)?;
+        let distances = with_progress(py, None, |progress| {
+            let to_local = |p: &Point| std::array::from_fn(|axis| p[axis] - self.origin[axis]);
+            let places: Vec<Point> = given.iter().map(to_local).collect();
+            self.index.distances_to(&Places::new(&places), progress)
+        })?;
+        briefly(|| Ok(from_vec(py, distances)))
+    }
+}
+
+/// Distances from at most `n_sampled` rows, evenly strided, to the nearest row elsewhere.
+#[pyfunction]
+pub(super) fn spacing_sample<'py>(
+    py: Python<'py>,
+    array: ReadArray<'py>,
+    n_sampled: usize,
+) -> PyResult<Bound<'py, PyAny>> {
+    let given = points(&array)?;
+    let spacings = with_progress(py, None, |progress| {
+        let cloud = Cloud::of_any_shape("cloud", given)?;
+        let index = NeighborIndex::new(cloud.points());
+        let stride = cloud.len().div_ceil(n_sampled.max(1)).max(1);
+        let n = cloud.len().div_ceil(stride);
+        let nearest = parallel::map_cheap(n, progress, |i| {
+            index.nearest_elsewhere(&cloud.points()[i * stride])
+        })?;
+        let spacings = nearest.into_iter().flatten().map(|n| n.distance_sq.sqrt());
+        Ok(spacings.collect::<Vec<f64>>())
+    })?;
+    briefly(|| Ok(from_vec(py, spacings)))
+}
+
+/// The hole radius is so many times this quantile of the spacing of the sparser cloud.
+#[pyfunction]
+pub(super) fn hole_radius_rule() -> (f64, f64) {
+    (fuse::RADIUS_IN_SPACINGS, fuse::SPACING_QUANTILE)
+}
+
+/// Adds up the area of a surface, part by part.
+#[pyclass(module = "tmchho._core")]
+pub(super) struct SurfaceArea(surface_area::SurfaceArea);
+
+#[pymethods]
+impl SurfaceArea {
+    #[new]
+    fn new(edge: f64) -> PyResult<Self> {
+        briefly(|| Ok(Self(surface_area::SurfaceArea::new(edge)?)))
+    }
+
+    /// Adds the next part of the surface.
+    fn add(&mut self, py: Python<'_>, array: ReadArray<'_>) -> PyResult<()> {
+        let part = points(&array)?;
+        let area = &mut self.0;
+        with_progress(py, None, |_| area.add(part))
+    }
+
+    /// The area of all that was added.
+    fn total(&self, py: Python<'_>) -> PyResult<f64> {
+        with_progress(py, None, |_| Ok(self.0.total()))
+    }
+}
