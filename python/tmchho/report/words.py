@@ -30,6 +30,7 @@ FITS = {
 }
 
 STAGES = {
+    "thin": "Thinning to what fits into memory",
     "outliers": "Removal of outliers",
     "voxel": "Thinning to one point a voxel",
     "keypoints": "Keypoints",
