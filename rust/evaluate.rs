@@ -16,7 +16,7 @@ pub use surface::{DistanceMethod, surface_distances};
 
 use crate::cloud::Point;
 use crate::error::Result;
-use crate::neighbors::{NeighborIndex, Places};
+use crate::neighbors::NeighborIndex;
 use crate::parallel::CHUNK;
 use crate::progress::Progress;
 
@@ -38,7 +38,7 @@ pub fn nearest_distances(
     to: &NeighborIndex,
     progress: &Progress<'_>,
 ) -> Result<Vec<f64>> {
-    to.distances_to(&Places::new(from), progress)
+    to.distances_to(&to.places_to_ask(from), progress)
 }
 
 /// Distances summed up, in metres. Of signed ones the mean and the median keep the sign; best, worst

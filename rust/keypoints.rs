@@ -116,33 +116,32 @@ pub fn detect(
     })
 }
 
-/// The weighted covariance round a place, of two neighbours at a time.
+/// The weighted covariance round a place.
 #[derive(Clone)]
 struct Covariance {
     radius_sq: f64,
     /// xx, yy, zz, yz, xz, xy.
-    products: [[f64; 2]; 6],
-    weights: [f64; 2],
-    n_neighbors: usize,
+    products: [f64; 6],
+    weight: f64,
+    n_neighbors: u32,
 }
 
 impl Covariance {
     fn within(radius_m: f64) -> Self {
         Self {
             radius_sq: radius_m * radius_m,
-            products: [[0.0; 2]; 6],
-            weights: [0.0; 2],
+            products: [0.0; 6],
+            weight: 0.0,
             n_neighbors: 0,
         }
     }
 
     /// λ1 ≥ λ2 ≥ λ3, unless there are too few neighbours.
     fn eigenvalues(&self, min_neighbors: usize) -> Option<[f64; 3]> {
-        if self.n_neighbors == 0 || self.n_neighbors < min_neighbors {
+        if self.n_neighbors == 0 || (self.n_neighbors as usize) < min_neighbors {
             return None;
         }
-        let weight = self.weights[0] + self.weights[1];
-        let [xx, yy, zz, yz, xz, xy] = self.products.map(|[a, b]| (a + b) / weight);
+        let [xx, yy, zz, yz, xz, xy] = self.products.map(|sum| sum / self.weight);
         Some(Symmetric::new([xx, yy, zz], [yz, xz, xy]).eigenvalues())
     }
 }
@@ -155,34 +154,29 @@ impl Collector for Covariance {
 
     #[inline(always)]
     fn take(&mut self, place: &Point, block: &Block, _: usize) -> bool {
-        let mut offsets = block.offsets(place);
+        let offsets = block.offsets(place);
         let distances_sq = sum_of_squares(&offsets);
-        let mut weights = [0.0; WIDTH];
+        let mut neighbors = 0_u32;
         for lane in 0..WIDTH {
             let is_neighbor = distances_sq[lane] > 0.0 && distances_sq[lane] < self.radius_sq;
+            neighbors |= u32::from(is_neighbor) << lane;
+        }
+        self.n_neighbors += neighbors.count_ones();
+        let (mut products, mut sum) = (self.products, self.weight);
+        while neighbors != 0 {
+            let lane = neighbors.trailing_zeros() as usize;
+            neighbors &= neighbors - 1;
+            let [x, y, z] = offsets.map(|along| along[lane]);
             // Eq. (2)
             let weight = 1.0 / distances_sq[lane].sqrt();
-            weights[lane] = if is_neighbor { weight } else { 0.0 };
-            for axis in 0..3 {
-                // Points that fill up a block stand at infinity.
-                offsets[axis][lane] = if is_neighbor {
-                    offsets[axis][lane]
-                } else {
-                    0.0
-                };
+            // Eq. (3)
+            let added = [x * x, y * y, z * z, y * z, x * z, x * y];
+            for (product, added) in products.iter_mut().zip(added) {
+                *product += weight * added;
             }
-            self.n_neighbors += usize::from(is_neighbor);
+            sum += weight;
         }
-        // Eq. (3)
-        let axes = [[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]];
-        for (product, [a, b]) in self.products.iter_mut().zip(axes) {
-            for lane in 0..WIDTH {
-                product[lane % 2] += weights[lane] * offsets[a][lane] * offsets[b][lane];
-            }
-        }
-        for lane in 0..WIDTH {
-            self.weights[lane % 2] += weights[lane];
-        }
+        (self.products, self.weight) = (products, sum);
         false
     }
 }

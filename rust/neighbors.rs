@@ -55,8 +55,9 @@ pub struct Neighbor {
 /// ```
 #[derive(Debug)]
 pub struct NeighborIndex {
-    points: Vec<Point>,
     tree: Blocks,
+    /// The points in the order given, for those who ask for them.
+    points: OnceLock<Vec<Point>>,
     /// kiddo, where it serves this cloud well; built for the first search that it answers.
     general: OnceLock<Option<General>>,
 }
@@ -65,15 +66,15 @@ impl NeighborIndex {
     /// Sorts a copy of `points`, which must be finite and at most 2³² − 1 in number.
     pub fn new(points: &[Point]) -> Self {
         Self {
-            points: points.to_vec(),
             tree: Blocks::new(&sort::into_blocks(points)),
+            points: OnceLock::new(),
             general: OnceLock::new(),
         }
     }
 
     /// The points, in the order given.
     pub fn points(&self) -> &[Point] {
-        &self.points
+        self.points.get_or_init(|| self.tree.points())
     }
 
     /// The points as places to ask about, here or in another index: they need no sorting any more.
@@ -83,20 +84,20 @@ impl NeighborIndex {
 
     /// Number of points.
     pub fn len(&self) -> usize {
-        self.points.len()
+        self.tree.len()
     }
 
     /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
-        self.points.is_empty()
+        self.len() == 0
     }
 
     /// The point nearest to `place`; of several at the same distance one, always the same.
     pub fn nearest(&self, place: &Point) -> Option<Neighbor> {
         self.general
-            .get_or_init(|| General::new(&self.points, self.tree.has_piles()))
+            .get_or_init(|| General::new(self.points(), self.tree.has_piles()))
             .as_ref()
-            .and_then(|general| general.nearest(&self.points, place))
+            .and_then(|general| general.nearest(self.points(), place))
             .or_else(|| self.nearest_within(place, f64::INFINITY))
     }
 
@@ -155,7 +156,19 @@ impl NeighborIndex {
     /// [`Error::TooFewPoints`] where there are places but no points, [`Error::InvalidArgument`]
     /// where a place is not finite, [`Error::Cancelled`].
     pub fn nearest_all(&self, places: &[Point], progress: &Progress<'_>) -> Result<Vec<Neighbor>> {
-        self.nearest_to(&Places::new(places), progress)
+        self.nearest_to(&self.places_to_ask(places), progress)
+    }
+
+    /// Places to ask about here: as they come where eight in a row are close together anyway, like
+    /// the points of a scan line; otherwise sorted.
+    pub fn places_to_ask(&self, places: &[Point]) -> Places {
+        /// Groups so many times as wide as blocks of points still spare the sorting.
+        const WIDER: f64 = 4.0;
+        if Places::mean_width_of_groups(places) <= WIDER * self.tree.mean_width_of_blocks() {
+            Places::as_given(places)
+        } else {
+            Places::new(places)
+        }
     }
 
     /// [`NeighborIndex::nearest_all`] for places that are sorted already, in the order in which they

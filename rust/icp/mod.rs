@@ -22,7 +22,7 @@ use crate::cloud::{Point, distance_sq};
 use crate::error::{Error, Result};
 use crate::freedom::Freedom;
 use crate::kabsch::PairSums;
-use crate::neighbors::{NeighborIndex, Places};
+use crate::neighbors::NeighborIndex;
 use crate::normals::Surface;
 use crate::observations::LocalObservations;
 use crate::parallel;
@@ -161,7 +161,7 @@ pub fn icp(
     let method = options.method.unwrap_or(IcpMethod::PointToPoint);
     clouds.check(method)?;
     // Neighbours one after the other find their partners together.
-    let order = Places::new(clouds.source);
+    let order = clouds.target.places_to_ask(clouds.source);
     let source: Vec<Point> = (0..order.len()).map(|at| *order.point(at)).collect();
     let source_surfaces = match clouds.source_surfaces {
         [] => Vec::new(),

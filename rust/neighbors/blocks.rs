@@ -9,7 +9,7 @@
 mod region;
 
 use super::sort::Entry;
-use crate::cloud::Point;
+use crate::cloud::{Point, distance_sq};
 use crate::parallel;
 
 /// Points in a block, and children of a node.
@@ -251,6 +251,28 @@ impl Blocks {
         self.blocks[block].coordinates.map(|along| along[lane])
     }
 
+    /// Number of points.
+    pub(super) fn len(&self) -> usize {
+        self.n_points
+    }
+
+    /// The points by rising index.
+    pub(super) fn points(&self) -> Vec<Point> {
+        let mut points = vec![[0.0; 3]; self.n_points];
+        for entry in self.entries() {
+            points[entry.index as usize] = entry.point;
+        }
+        points
+    }
+
+    /// The diagonal of the box round a block, on average over some of them; 0 where there are none.
+    pub(super) fn mean_width_of_blocks(&self) -> f64 {
+        mean_of_some(self.blocks.len(), |i| {
+            let bounds = Bounds::of(&self.blocks[i]);
+            distance_sq(&bounds.low, &bounds.high).sqrt()
+        })
+    }
+
     /// Whether more than two blocks in a row hold nothing but copies of one point.
     pub(super) fn has_piles(&self) -> bool {
         let is_pile = |node: &Node| node.is_pile && node.least_index[2] != u32::MAX;
@@ -326,6 +348,14 @@ impl Blocks {
             }
         }
     }
+}
+
+/// The mean of `f` over evenly spread indices below `n`.
+pub(super) fn mean_of_some(n: usize, f: impl Fn(usize) -> f64) -> f64 {
+    const SOME: usize = 1000;
+    let step = n.div_ceil(SOME).max(1);
+    let n_looked_at = n.div_ceil(step).max(1);
+    (0..n).step_by(step).map(f).sum::<f64>() / n_looked_at as f64
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 
 use super::Neighbor;
-use super::blocks::{Block, WIDTH, smaller};
+use super::blocks::{Block, WIDTH, lanes_within, smaller};
 use crate::cloud::Point;
 
 /// What a search from one place is for.
@@ -318,11 +318,12 @@ impl Collector for KNearest {
     #[inline(always)]
     fn take(&mut self, place: &Point, block: &Block, number: usize) -> bool {
         let distances_sq = block.distances_sq(place);
-        for lane in 0..WIDTH {
-            if distances_sq[lane] <= self.reach_sq {
-                self.found
-                    .push(Held::new(distances_sq[lane], block, number, lane));
-            }
+        let mut lanes = lanes_within(&distances_sq, &[self.reach_sq; WIDTH]);
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            let held = Held::new(distances_sq[lane], block, number, lane);
+            self.found.push(held);
         }
         // Not for every point: drawing in costs as much as looking at two or three blocks.
         let most = if self.reach_sq == f64::MAX {
@@ -369,11 +370,12 @@ impl Collector for Within {
     #[inline(always)]
     fn take(&mut self, place: &Point, block: &Block, number: usize) -> bool {
         let distances_sq = block.distances_sq(place);
-        for lane in 0..WIDTH {
-            if distances_sq[lane] <= self.radius_sq {
-                self.found
-                    .push(Held::new(distances_sq[lane], block, number, lane));
-            }
+        let mut lanes = lanes_within(&distances_sq, &[self.radius_sq; WIDTH]);
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            let held = Held::new(distances_sq[lane], block, number, lane);
+            self.found.push(held);
         }
         false
     }

@@ -4,11 +4,12 @@
 //! box once, and those of them that it does not concern are told by one vector of distances.
 
 use super::blocks::{
-    Block, Blocks, Node, Search, WIDTH, greater, lanes_within, smaller, sum_of_squares,
+    Block, Blocks, Node, Search, WIDTH, greater, lanes_within, mean_of_some, smaller,
+    sum_of_squares,
 };
 use super::collect::Collector;
 use super::sort::{Entry, into_blocks};
-use crate::cloud::Point;
+use crate::cloud::{Point, distance_sq};
 use crate::error::Result;
 use crate::parallel;
 use crate::progress::Progress;
@@ -181,6 +182,25 @@ impl Places {
         Self {
             entries: into_blocks(points),
         }
+    }
+
+    /// `points` in the order in which they come.
+    pub(super) fn as_given(points: &[Point]) -> Self {
+        Self {
+            entries: parallel::map(points.len(), |i| Entry {
+                point: points[i],
+                index: i as u32,
+            }),
+        }
+    }
+
+    /// How far the places of a group lie apart, on average over some groups of `points` as they come.
+    pub(super) fn mean_width_of_groups(points: &[Point]) -> f64 {
+        mean_of_some(points.len() / WIDTH, |group| {
+            let group = &points[group * WIDTH..(group + 1) * WIDTH];
+            let to_first = group.iter().map(|p| distance_sq(p, &group[0]));
+            to_first.fold(0.0, f64::max).sqrt()
+        })
     }
 
     /// The points of a tree, which are sorted already.

@@ -27,10 +27,10 @@ pub(super) struct Entry {
 /// The points with their indices, in blocks of [`WIDTH`]; by rising index within each block, and in a
 /// part whose points all coincide.
 pub(super) fn into_blocks(points: &[Point]) -> Vec<Entry> {
-    let mut entries: Vec<Entry> = (0_u32..)
-        .zip(points)
-        .map(|(index, &point)| Entry { point, index })
-        .collect();
+    let mut entries = parallel::map(points.len(), |i| Entry {
+        point: points[i],
+        index: i as u32,
+    });
     split(&mut entries);
     entries
 }
