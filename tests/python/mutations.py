@@ -13,6 +13,7 @@ import json
 import logging
 import random
 import re
+import struct
 import sys
 import tempfile
 import time
@@ -57,23 +58,22 @@ def scans(name: str, path: Path) -> None:
 
 def ply(kind: str, path: Path) -> None:
     """Write a PLY by hand: elements before and after the vertices, a stray line in the header."""
+    order = ">" if kind == "binary_big_endian" else "<"
     fields = [("x", "f8"), ("y", "f8"), ("z", "f8"), ("red", "u1")]
-    rows = np.zeros(
-        N_POINTS, dtype=[(name, {"binary_big_endian": ">"}.get(kind, "<") + k) for name, k in fields]
-    )
+    rows = np.zeros(N_POINTS, dtype=[(name, order + field) for name, field in fields])
     for axis, values in zip("xyz", small_cloud().xyz.T, strict=True):
         rows[axis] = values
     header = (
-        f"ply\nformat {kind} 1.0\nobj_info made by hand\nelement camera 1\nproperty int id\nbye\n"
+        f"ply\nformat {kind} 1.0\nobj_info made by hand\nelement camera 1\nproperty int id\n"
+        "property list uchar ushort parts\nbye\n"
         f"element vertex {N_POINTS}\nproperty double x\nproperty double y\nproperty double z\n"
         "property uchar red\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
     )
     if kind == "ascii":
-        body = (
-            "7\n" + "".join(" ".join(map(str, row)) + "\n" for row in rows.tolist()) + "3 0 1 2\n"
-        ).encode()
+        lines = [" ".join(map(str, row)) for row in [(7, 2, 5, 6), *rows.tolist(), (3, 0, 1, 2)]]
+        body = "\n".join([*lines, ""]).encode()
     else:
-        body = b"\7\0\0\0" + rows.tobytes() + b"\3" + b"\0" * 12
+        body = struct.pack(f"{order}iB2H", 7, 2, 5, 6) + rows.tobytes() + b"\3" + b"\0" * 12
     as_bytes(path, "a.ply", header.encode() + body)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -196,6 +197,24 @@ def test_wrong_lines_are_numbered(tmp_path: Path) -> None:
     assert "line 14, column 2: 'eight' is not a number" in message_of(tmp_path, data)
     data = pcd_bytes("ascii", axes()).replace(b"7.0 8.0 9.0", b"7.0 8.0")
     assert "line 14 has 2 values where 3 are expected" in message_of(tmp_path, data)
+
+
+def test_any_number_of_values_a_point_may_be_promised(tmp_path: Path) -> None:
+    for encoding, count, words in (
+        ("ascii", 200_000_000, "line 12 has fewer than the 200000002 values expected"),
+        ("binary", 200_000_000, "expected 3 points, file holds 0"),
+        ("binary_compressed", 200_000_000, "expected 3 points, file holds 0"),
+        *((encoding, 300_000_000, "promises 2400000016 bytes for each point") for encoding in ENCODINGS),
+    ):
+        data = pcd_bytes(encoding, axes(), COUNT=f"{count} 1 1")
+        tracemalloc.start()
+        try:
+            message = message_of(tmp_path, data)
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert words in message
+        assert peak < 10e6
 
 
 # --- writing ---

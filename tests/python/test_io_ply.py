@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +161,27 @@ def test_broken_text_files(tmp_path: Path, old: bytes, new: bytes, words: str) -
     data = ply_bytes("ascii", DOUBLES, ROWS)
     assert data.count(old) == 1
     assert words in message_of(tmp_path, data.replace(old, new))
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_lists_before_the_vertices_are_skipped(tmp_path: Path, order: str) -> None:
+    rng = np.random.default_rng(0)
+    lengths = [3] * 25_000 + rng.integers(0, 6, 500).tolist() + [4] * 300
+    faces = b"".join(
+        struct.pack(f"{order}B{n}iH", n, *range(n), number % 100) for number, n in enumerate(lengths)
+    )
+    encoding = "binary_little_endian" if order == "<" else "binary_big_endian"
+    header = (
+        f"ply\nformat {encoding} 1.0\nelement face {len(lengths)}\nproperty list uchar int vertex_indices\n"
+        f"property ushort material\nelement vertex 3\n"
+        "property double x\nproperty double y\nproperty double z\nend_header\n"
+    ).encode()
+    cloud = read_bytes(tmp_path, header + faces + XYZ.astype(f"{order}f8").tobytes())
+    np.testing.assert_array_equal(cloud.xyz, XYZ)
+    for cut in (len(header), len(header) + 5, len(header) + len(faces) - 1):
+        assert "truncated" in message_of(tmp_path, (header + faces)[:cut])
+    assert "a list of" in message_of(tmp_path, header.replace(b"uchar", b"float") + b"\xff" * 40)
+    assert "a list of" in message_of(tmp_path, header.replace(b"uchar int", b"int int") + b"\xff" * 40)
 
 
 # --- writing ---

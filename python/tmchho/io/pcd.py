@@ -44,6 +44,7 @@ _ENCODINGS = ("ascii", "binary", "binary_compressed")
 _TYPE_LETTERS = {"F": "f", "I": "i", "U": "u"}
 _FIRST_KEY = re.compile(rb"#\s*\.PCD|(?:#[^\n]*\n|\s)*(?:VERSION|FIELDS|COLUMNS)[ \t]")
 _MAX_HEADER_BYTES = 1 << 16
+_MAX_POINT_BYTES = 2**31 - 1  # more, numpy has no type for
 _MAX_PACKED = 3 * 2**30  # bytes; the sizes are stored in 32 bits, and packing may add some
 _MAX_LZF_RATIO = 100  # a run of 264 bytes takes 3
 _PCL_NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
@@ -139,6 +140,9 @@ def _parse_header(entries: Mapping[str, list[str]], n_bytes: int, n_lines: int) 
                 f"has the unknown type {letter} {size} × {count} in field '{name}'; export it again"
             )
         fields.append(_Field(name, kind, int(count)))
+    n_point_bytes = sum(int(field.kind[1:]) * field.count for field in fields)
+    if n_point_bytes > _MAX_POINT_BYTES:
+        raise ReadError(f"promises {n_point_bytes} bytes for each point, which cannot be; export it again")
     width = _integer(entries, "WIDTH", 0)
     height = _integer(entries, "HEIGHT", 1)
     n_points = _integer(entries, "POINTS", width * height)

@@ -52,9 +52,11 @@ def parse_table(
     ReadError
         If a line has another number of values or something that is not a number.
     """
-    wanted = list(range(n_columns)) if columns is None else list(columns)
     if not body.strip() or max_rows == 0:
-        return np.empty((0, len(wanted)))
+        return np.empty((0, n_columns if columns is None else len(columns)))
+    if n_columns > len(body):  # a header may promise any number
+        raise ReadError(f"line {first_line} has fewer than the {n_columns} values expected; correct it")
+    wanted = list(range(n_columns)) if columns is None else list(columns)
     if max_rows is not None:
         max_rows = min(max_rows, body.count(b"\n") + 1)  # numpy makes room for all of them at once
     # numpy complains about blank lines; for messages they stay, so that line numbers stay right.
