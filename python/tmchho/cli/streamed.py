@@ -28,9 +28,11 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
     TmchhoError
         As its class says; no file was written then.
     """
+    from tmchho import PointCloud
     from tmchho.io import is_las, open_las
     from tmchho.outputs import (
         FUSED,
+        REPORT_POINTS,
         RESULT,
         SOURCE_REGISTERED,
         InputFile,
@@ -41,6 +43,8 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         write_together,
     )
     from tmchho.report.described import describe_parts
+    from tmchho.report.fused_points import points_of_fused_file
+    from tmchho.report.points import points_of
     from tmchho.streams import fuse_files, register_files
     from tmchho.transform import Transform
 
@@ -93,13 +97,13 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
     if registration.verdict == "rejected":
         document = document_of(registration, None)
         text = json_text(document)
-        write_together(
-            job.folder,
-            {RESULT: lambda path: path.write_text(text, encoding="utf-8", newline="\n")},
-            overwrite=job.overwrite,
-            inputs=paths,
-        )
-        return Outcome(registration, document, remove_others(job.folder, [RESULT]))
+        thinned = PointCloud(found.source.points), PointCloud(found.target.points)
+        rejected: dict[str, Callable[[Path], object]] = {
+            RESULT: lambda path: path.write_text(text, encoding="utf-8", newline="\n"),
+            REPORT_POINTS: points_of(registration, *thinned, None).save,
+        }
+        write_together(job.folder, rejected, overwrite=job.overwrite, inputs=paths)
+        return Outcome(registration, document, remove_others(job.folder, rejected))
     options = registration.config["fuse"]
     with staging(job.folder) as scratch:
         with shown.step("fuse", "measuring and fusing in tiles"):
@@ -134,8 +138,10 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             "seconds": found.seconds | fusion.seconds,
         }
         text = json_text(document)
+        shown_points = points_of_fused_file(scratch / FUSED, registration.seed, registration.voxel_size)
         outputs: dict[str, Callable[[Path], object]] = {
             RESULT: lambda path: path.write_text(text, encoding="utf-8", newline="\n"),
+            REPORT_POINTS: shown_points.save,
             **pose_files(registration, str(job.source), source.crs, target.crs, target.header.scales),
             SOURCE_REGISTERED: lambda path: os.replace(scratch / SOURCE_REGISTERED, path),
             FUSED: lambda path: os.replace(scratch / FUSED, path),

@@ -9,13 +9,12 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError
-from tmchho.io import check_output, open_las
+from tmchho.io import check_output
 from tmchho.outputs import FIGURES, FUSED, REPORT, REPORT_PDF, REPORT_POINTS, RESULT, write_together
 from tmchho.report.browser import find_browser, print_to_pdf
 from tmchho.report.change import load_change
-from tmchho.report.fused_points import points_of_fused
+from tmchho.report.fused_points import points_of_fused_file
 from tmchho.report.page import make_page
 from tmchho.report.points import ReportPoints
 from tmchho.report.template import require_extras
@@ -92,9 +91,7 @@ def _points(folder: Path, document: Mapping[str, Any]) -> ReportPoints | None:
         return ReportPoints.load(folder / REPORT_POINTS)
     if document.get("fused") is None or not (folder / FUSED).exists():
         return None
-    file = open_las(folder / FUSED)
-    parts = (PointCloud(file.xyz(file.steps(part)), file.attributes(part)) for part in file.parts())
-    return points_of_fused(parts, document["seed"], document["voxel_size"])
+    return points_of_fused_file(folder / FUSED, document["seed"], document["voxel_size"])
 
 
 def read_result(folder: Path) -> Mapping[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError
+from tmchho.io import open_las
 from tmchho.report.points import MAX_POINTS, ReportPoints, choose
 
 _NEEDED = ("origin", "fills_hole", "C2C_absolute_distances")
@@ -74,6 +76,13 @@ def points_of_fused(parts: Iterable[PointCloud], seed: int, edge: float) -> Repo
         np.concatenate([cloud.attributes["C2C_absolute_distances"] for cloud in clouds]).astype(np.float64),
     )
     return choose(source, target, np.asarray, fused, seed, edge)
+
+
+def points_of_fused_file(path: Path, seed: int, edge: float) -> ReportPoints:
+    """Do what `points_of_fused` does with a LAS or LAZ file of any size."""
+    file = open_las(path)
+    parts = (PointCloud(file.xyz(file.steps(part)), file.attributes(part)) for part in file.parts())
+    return points_of_fused(parts, seed, edge)
 
 
 def _fewest(before: _Kept | None, new: _Kept) -> _Kept:
