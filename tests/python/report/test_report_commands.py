@@ -15,6 +15,7 @@ from tmchho.cli import main
 from tmchho.outputs import OUTPUTS
 from tmchho.report import template, words
 from tmchho.report.browser import find_browser
+from tmchho.simulate import make_pair
 
 
 def run(*arguments: object) -> Result:
@@ -143,3 +144,26 @@ def test_change_that_was_measured_at_the_same_pose_is_shown(registered: Register
     result.write_text(json.dumps(document))
     page = Page(tmchho.write_report(tmp_path)[0].read_text(encoding="utf-8"))
     assert "Change (M3C2)" not in page.text
+
+
+@pytest.mark.parametrize("is_rejected", [False, True])
+def test_files_that_are_worked_on_in_parts_have_a_report(
+    registered: Registered, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_rejected: bool
+) -> None:
+    monkeypatch.setattr("tmchho.streams.memory._BYTES_PER_POINT", 1_000_000)
+    config = tmp_path / "settings.toml"
+    strict = "[verdict]\naccept_inlier_share = 1.0\nreject_inlier_share = 1.0\n"
+    config.write_text(strict if is_rejected else "")
+    source = registered.source
+    if is_rejected:  # a piece of another site
+        stranger = make_pair(n_photogrammetry_points=6_000, n_scanner_points=1_000, area_ratio=1.2, seed=8)
+        source = tmp_path / "stranger.laz"
+        tmchho.write(stranger.source, source)
+    result = run("register", source, registered.target, "-o", tmp_path / "out", "--config", config)
+    document = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert (document["verdict"] == "rejected") == is_rejected, result.output
+    assert is_rejected or "in_parts" in document
+    page = Page((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    assert [values for tag, values in page.tags if tag == "canvas"]
+    assert document["inputs"]["target"]["crs"] in page.text
+    assert ("Map of the distances." in page.text) != is_rejected
