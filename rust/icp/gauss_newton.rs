@@ -161,8 +161,22 @@ impl Pass<'_> {
     /// The pairs as rows of a point-to-plane step, from which the uncertainty follows. `method` may be
     /// another one than that of the fit.
     pub(super) fn rows(&self, method: IcpMethod, limit_sq: f64) -> Vec<PlanePair> {
-        let mut rows = Vec::with_capacity(self.pairs.n_kept);
-        for (i, j) in self.pairs.kept() {
+        let n = self.clouds.source.len();
+        let chunks = parallel::map(n.div_ceil(parallel::CHUNK), |chunk| {
+            let first = chunk * parallel::CHUNK;
+            self.rows_within(first..n.min(first + parallel::CHUNK), method, limit_sq)
+        });
+        chunks.concat()
+    }
+
+    fn rows_within(
+        &self,
+        range: std::ops::Range<usize>,
+        method: IcpMethod,
+        limit_sq: f64,
+    ) -> Vec<PlanePair> {
+        let mut rows = Vec::with_capacity(range.len());
+        for (i, j) in self.pairs.kept_within(range) {
             let (p, q) = self.places(i, j);
             let d = [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
             let mut push = |normal: Point, slope_variance: f64, strength: f64| {

@@ -148,11 +148,16 @@ pub(super) fn icp<'py>(
         let known = observations.about(source.origin(), target.origin())?;
         let index = NeighborIndex::new(target.points());
         let (mut source_surfaces, mut target_surfaces) = (Vec::new(), Vec::new());
-        if options.method.unwrap_or(IcpMethod::PointToPoint) != IcpMethod::PointToPoint {
-            let k = N_NORMAL_NEIGHBORS;
+        let (k, method) = (
+            N_NORMAL_NEIGHBORS,
+            options.method.unwrap_or(IcpMethod::PointToPoint),
+        );
+        if method != IcpMethod::PointToPoint {
+            target_surfaces = normals::estimate(index.points(), &index, k, progress)?;
+        }
+        if method == IcpMethod::PlaneToPlane {
             let of_source = NeighborIndex::new(source.points());
             source_surfaces = normals::estimate(of_source.points(), &of_source, k, progress)?;
-            target_surfaces = normals::estimate(index.points(), &index, k, progress)?;
         }
         let clouds = fine::Clouds {
             source: source.points(),
