@@ -92,7 +92,7 @@ def write_evaluation(
         What ``evaluation.json`` holds.
     forms : iterable of str, default laz, csv and coloured-laz
         In which forms each cloud is written; also ``"coloured-ply"``. A coloured cloud has the colours of the
-        classes in ``legend.csv`` instead of its own.
+        classes in ``legend.csv`` instead of its own; csv holds coordinates and distances alone.
     overwrite : bool, default False
         Replace existing files.
     inputs : iterable of path
@@ -131,7 +131,10 @@ def write_evaluation(
             extension = form.rpartition("-")[2]
             is_coloured = form.startswith("coloured")
             stem = f"{direction}_coloured" if is_coloured else direction
-            files[f"{stem}.{extension}"] = _writer(shown if is_coloured else cloud, target)
+            written = shown if is_coloured else cloud
+            if extension == "csv" and direction != "change":  # as text, attributes take ten times the room
+                written = replace(cloud, attributes={name: cloud.attributes[name]})
+            files[f"{stem}.{extension}"] = _writer(written, target)
     if any(form.startswith("coloured") for form in chosen):
         legend = scale.legend(every, significant)
         files[LEGEND] = lambda path: _write_table(path, legend, tuple(legend[0]))
