@@ -222,7 +222,7 @@ def m3c2(
     >>> before, after = (np.column_stack([rng.uniform(0, 9, (4000, 2)), rng.normal(z, 0.01, 4000)])
     ...                  for z in (0.0, -0.05))
     >>> change = m3c2(after, before, registration_error=0.003)
-    >>> round(change.statistics.median, 2), change.share_significant > 0.99
+    >>> round(change.statistics.median, 2), bool(change.share_significant > 0.99)
     (-0.05, True)
     """
     matrix = pose_matrix(transformation)
