@@ -68,7 +68,7 @@ class ColourScale(ReadOnlyArrays):
 
         Examples
         --------
-        >>> ColourScale.of(np.array([0.0, 0.013, 0.038])).borders[-1]
+        >>> float(ColourScale.of(np.array([0.0, 0.013, 0.038])).borders[-1])
         0.05
         """
         amounts = np.abs(distances[np.isfinite(distances)])
