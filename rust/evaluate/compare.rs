@@ -15,7 +15,7 @@ use crate::spacing::nearest_spacing_quantile_m;
 use crate::surface_cloud::N_NORMAL_NEIGHBORS;
 
 /// Most places at which the spacing is looked at.
-const SAMPLE_PLACES: usize = 10_000;
+const SAMPLE_PLACES: usize = 2000;
 
 /// What most points of a cloud keep to.
 const MOST: f64 = 0.9;
@@ -95,7 +95,11 @@ pub fn compare(
             method,
             n_neighbors,
         } = *options;
-        let distances_m = surface_distances(from.points(), to, method, n_neighbors, progress)?;
+        let distances_m = if method == DistanceMethod::Nearest {
+            to.distances_to(&from.places(), progress)? // which are sorted already
+        } else {
+            surface_distances(from.points(), to, method, n_neighbors, progress)?
+        };
         let spacing_there_m = spacing_at(from.points(), to);
         Ok(Direction {
             distances_m,
@@ -114,7 +118,7 @@ pub fn compare(
 fn spacing_at(places: &[Point], to: &NeighborIndex) -> f64 {
     let stride = places.len().div_ceil(SAMPLE_PLACES).max(1);
     let mut spacings: Vec<f64> = parallel::map(places.len().div_ceil(stride), |i| {
-        let foot = to.nearest(&places[i * stride])?;
+        let foot = to.nearest_within(&places[i * stride], f64::INFINITY)?;
         to.nearest_elsewhere(&to.points()[foot.index as usize])
     })
     .into_iter()

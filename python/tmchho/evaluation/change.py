@@ -278,7 +278,7 @@ def m3c2(
     return Change(
         **{**found, "normal_radii": tuple(found["normal_radii"])},
         statistics=DistanceStatistics.of(distance[seen]),
-        share_significant=np.count_nonzero(found["is_significant"]) / n_known if n_known else None,
+        share_significant=int(np.count_nonzero(found["is_significant"])) / n_known if n_known else None,
         registration_error=registration_error or 0.0,
         tolerance=tolerance,
         areas=rows,
