@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +135,8 @@ def test_truncation(tmp_path: Path, encoding: str) -> None:
     xyz = np.random.default_rng(0).normal(size=(100, 3)).round(3)
     data = pcd_bytes(encoding, axes(xyz))
     body_at = data.index(b"DATA") + len(f"DATA {encoding}\n")
-    for n_bytes in (5, 30, body_at - len(encoding) - 4):
+    assert "the mark at its start is missing" in message_of(tmp_path, data[:5])
+    for n_bytes in (30, body_at - len(encoding) - 4):
         assert "no DATA line" in message_of(tmp_path, data[:n_bytes])
     assert "expected 100 points, file holds 0" in message_of(tmp_path, data[:body_at])
     if encoding == "ascii":
@@ -197,10 +199,29 @@ def test_wrong_lines_are_numbered(tmp_path: Path) -> None:
     assert "line 14 has 2 values where 3 are expected" in message_of(tmp_path, data)
 
 
+def test_any_number_of_values_a_point_may_be_promised(tmp_path: Path) -> None:
+    for encoding, count, words in (
+        ("ascii", 200_000_000, "line 12 has fewer than the 200000002 values expected"),
+        ("binary", 200_000_000, "expected 3 points, file holds 0"),
+        ("binary_compressed", 200_000_000, "expected 3 points, file holds 0"),
+        *((encoding, 300_000_000, "promises 2400000016 bytes for each point") for encoding in ENCODINGS),
+    ):
+        data = pcd_bytes(encoding, axes(), COUNT=f"{count} 1 1")
+        tracemalloc.start()
+        try:
+            message = message_of(tmp_path, data)
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert words in message
+        assert peak < 10e6
+
+
 # --- writing ---
 
 
-def test_written_attributes_types_and_viewpoint(tmp_path: Path) -> None:
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_written_attributes_types_and_viewpoint(tmp_path: Path, encoding: str) -> None:
     attributes: dict[str, NDArray[Any]] = {
         kind: np.array([0, 1, 100], dtype=kind)
         for kind in ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
@@ -208,17 +229,46 @@ def test_written_attributes_types_and_viewpoint(tmp_path: Path) -> None:
     attributes["histogram"] = np.arange(12.0).reshape(3, 4)
     attributes["nx"] = np.array([0.0, 1.0, 0.0])
     attributes |= {name: np.array([0, 7, 255], dtype="u1") for name in ("red", "green", "blue", "alpha")}
-    metadata = {"format": "pcd", "viewpoint": (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)}
+    metadata = {
+        "format": "pcd",
+        "viewpoint": (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0),
+        "encoding": encoding,
+    }
     tmchho.io.write(PointCloud(XYZ, attributes, metadata=metadata), tmp_path / "a.pcd")
     back = tmchho.io.read(tmp_path / "a.pcd")
+    np.testing.assert_array_equal(back.xyz, XYZ)
     assert sorted(back.attributes) == sorted(attributes)
     for key, values in attributes.items():
         np.testing.assert_array_equal(back.attributes[key], values)
         assert back.attributes[key].dtype == values.dtype
     assert back.metadata["viewpoint"] == metadata["viewpoint"]
+    assert back.metadata["encoding"] == encoding
     head = (tmp_path / "a.pcd").read_bytes().split(b"DATA")[0].decode()
     assert " rgba" in head  # PCL's names
     assert " normal_x" in head
+
+
+def test_large_whole_numbers_are_not_written_as_text(tmp_path: Path) -> None:
+    values = np.array([0, -1, 2**62 + 1])
+    metadata = {"format": "pcd", "encoding": "ascii"}
+    tmchho.io.write(PointCloud(XYZ, {"a": values}, metadata=metadata), tmp_path / "a.pcd")
+    back = tmchho.io.read(tmp_path / "a.pcd")
+    assert back.metadata["encoding"] == "binary"
+    np.testing.assert_array_equal(back.attributes["a"], values)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_pypcd4_reads_every_encoding(tmp_path: Path, encoding: str) -> None:
+    pypcd4 = pytest.importorskip("pypcd4")
+    rng = np.random.default_rng(0)  # noise, which does not compress
+    xyz, values = rng.random((400, 3)), rng.random(400).astype(np.float32)
+    metadata = {"format": "pcd", "encoding": encoding}
+    tmchho.io.write(PointCloud(xyz, {"curvature": values}, metadata=metadata), tmp_path / "a.pcd")
+    theirs = pypcd4.PointCloud.from_path(tmp_path / "a.pcd")
+    assert theirs.metadata.data == encoding
+    for index, axis in enumerate("xyz"):
+        np.testing.assert_array_equal(theirs.pc_data[axis], xyz[:, index])
+    np.testing.assert_array_equal(theirs.pc_data["curvature"], values)
 
 
 def test_pypcd4_reads_what_we_write_and_we_read_what_it_writes(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -162,16 +163,44 @@ def test_broken_text_files(tmp_path: Path, old: bytes, new: bytes, words: str) -
     assert words in message_of(tmp_path, data.replace(old, new))
 
 
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_lists_before_the_vertices_are_skipped(tmp_path: Path, order: str) -> None:
+    rng = np.random.default_rng(0)
+    lengths = [3] * 25_000 + rng.integers(0, 6, 500).tolist() + [4] * 300
+    faces = b"".join(
+        struct.pack(f"{order}B{n}iH", n, *range(n), number % 100) for number, n in enumerate(lengths)
+    )
+    encoding = "binary_little_endian" if order == "<" else "binary_big_endian"
+    header = (
+        f"ply\nformat {encoding} 1.0\nelement face {len(lengths)}\nproperty list uchar int vertex_indices\n"
+        f"property ushort material\nelement vertex 3\n"
+        "property double x\nproperty double y\nproperty double z\nend_header\n"
+    ).encode()
+    cloud = read_bytes(tmp_path, header + faces + XYZ.astype(f"{order}f8").tobytes())
+    np.testing.assert_array_equal(cloud.xyz, XYZ)
+    for cut in (len(header), len(header) + 5, len(header) + len(faces) - 1):
+        assert "truncated" in message_of(tmp_path, (header + faces)[:cut])
+    assert "a list of" in message_of(tmp_path, header.replace(b"uchar", b"float") + b"\xff" * 40)
+    assert "a list of" in message_of(tmp_path, header.replace(b"uchar int", b"int int") + b"\xff" * 40)
+
+
 # --- writing ---
 
 
-def test_written_attributes_and_types(tmp_path: Path) -> None:
+@pytest.mark.parametrize("byte_order", [None, "<", ">"], ids=["text", "little", "big"])
+def test_written_attributes_and_types(tmp_path: Path, byte_order: str | None) -> None:
     attributes: dict[str, NDArray[Any]] = {
         kind: np.array([0, 1, 100], dtype=kind) for kind in ("u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8")
     }
-    cloud = PointCloud(XYZ, attributes)
+    cloud = PointCloud(XYZ, attributes, metadata={"format": "ply", "byte_order": byte_order})
     tmchho.io.write(cloud, tmp_path / "a.ply")
     back = tmchho.io.read(tmp_path / "a.ply")
+    assert back.metadata["byte_order"] == byte_order
+    np.testing.assert_array_equal(back.xyz, XYZ)
+    plyfile = pytest.importorskip("plyfile")
+    theirs = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]
+    np.testing.assert_array_equal(theirs["y"], XYZ[:, 1])
+    np.testing.assert_array_equal(theirs["f4"], attributes["f4"])
     for key, values in attributes.items():
         np.testing.assert_array_equal(back.attributes[key], values)
         assert back.attributes[key].dtype == values.dtype

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import tmchho.io
+from tmchho.cli.display import display
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError
 
@@ -108,12 +109,20 @@ def test_a_comment_that_names_the_columns(tmp_path: Path) -> None:
         ("a.xyz", "1 2 3 10 20 30", ["red", "green", "blue"]),
         ("a.xyz", "1 2 3 10 20 30 7.5", ["red", "green", "blue", "column_7"]),
         ("a.xyz", "1 2 3 0.0 -1.0 0.5", ["column_4", "column_5", "column_6"]),
-        ("a.xyz", "1 2 3 0 1 0", ["column_4", "column_5", "column_6"]),  # a normal, not a colour
+        ("a.xyz", "1 2 3 0 1 0", ["nx", "ny", "nz"]),
+        ("a.xyz", "1 2 3 0.6 0 -0.8 7", ["nx", "ny", "nz", "column_7"]),
+        ("a.xyz", "1 2 3 10 20 30 0.6 0 -0.8", ["red", "green", "blue", "nx", "ny", "nz"]),
         ("a.xyz", "1 2 3 10 20 3000", ["column_4", "column_5", "column_6"]),
     ],
 )
 def test_names_without_a_header(tmp_path: Path, name: str, line: str, expected: list[str]) -> None:
     assert list(read_text(tmp_path, f"{line}\n{line}\n", name).attributes) == expected
+
+
+def test_several_scans_with_a_count_each(tmp_path: Path) -> None:
+    cloud = read_text(tmp_path, "2\n1 2 3 -512\n4 5 6 7\n1\n7 8 9 100\n", "a.pts")
+    np.testing.assert_array_equal(cloud.xyz, np.arange(1, 10).reshape(3, 3))
+    assert cloud.attributes["intensity"].tolist() == [-512, 7, 100]
 
 
 def test_assumptions_and_doubts_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -126,6 +135,18 @@ def test_assumptions_and_doubts_are_logged(tmp_path: Path, caplog: pytest.LogCap
     assert "no column is called x, y or z; taking a, b, c" in caplog.text
     assert "is it a point number?" in caplog.text
     assert "announces 1 points and holds 2" in caplog.text
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_the_command_line_says_what_was_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], quiet: bool
+) -> None:
+    with display(quiet):
+        read_text(tmp_path, "1,5;2,5;3,5;10;20;30\n")
+    told = (
+        "assumed semicolons between values, decimal ',', numbers from line 1 on, columns x y z red green blue"
+    )
+    assert (told in capsys.readouterr().err) != quiet
 
 
 # --- damage ---
@@ -145,11 +166,14 @@ def test_assumptions_and_doubts_are_logged(tmp_path: Path, caplog: pytest.LogCap
         ("1 2 3\n1_000 5 6\n", "line 2, column 1: '1_000' is not a number"),
         ("x,y,height_of_tree,h\n1,2,3,4\n", "has no z field"),
         ("x,y\n1,2,3\n", "line 1 names 2 columns but the numbers have 3"),
-        ("ncols 4\nnrows 4\n1 2 3 4\n", "line 2 is not a line of numbers"),
+        ("ncols 4\nnrows 4\n1 2 3 4\n", "is an ESRI grid of heights"),
+        ("rows\n4\nnrows 4\n1 2 3 4\n", "line 3 is not a line of numbers"),
+        ("1a 2 3 4\n5 6 7 8\n9 10 11 12\n", "line 1, column 1 is not a number, but those below it are"),
         ("Dear Sir,\n", "has no line of numbers (line 1 begins 'Dear Sir,')"),
         ("# nothing but this\n", "contains no points"),
         ("\n \n", "contains no points"),
         ("5\n", "contains no points"),
+        ("2\n1 2 3\n4 5 6\n3\n7 8 9\n", "is truncated: expected 5 points, file holds 3"),
         ("5\n1 2 3\n4 5 6\n", "is truncated: expected 5 points, file holds 2"),
         ("99999999999999999999\n1 2 3\n", "expected 99999999999999999999 points, file holds 1"),
     ],

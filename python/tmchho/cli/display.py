@@ -17,6 +17,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from tmchho.cli.failures import wants_debug
+from tmchho.io.format import NOTE
 
 if TYPE_CHECKING:
     from tmchho import ProgressEvent
@@ -138,7 +139,7 @@ def _logging_to(shown: Display) -> Iterator[Display]:
     propagates, level = logger.propagate, logger.level
     logger.addHandler(handler)
     logger.propagate = False
-    logger.setLevel(logging.INFO if wants_debug() else logging.WARNING)
+    logger.setLevel(logging.INFO if wants_debug() else NOTE)
     try:
         yield shown
     finally:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,10 @@ from tmchho.errors import ReadError, WriteError
 
 logger = logging.getLogger(__name__)
 
+NORMALS = ("nx", "ny", "nz")
 COLOURS = ("red", "green", "blue")
 AXES = ("x", "y", "z")
+_COARSEST_STEP = 1e-5  # of float32 coordinates, by the diagonal of the cloud; coarser ones are warned of
 
 # Looked up in lower case without blanks, underscores and CloudCompare's prefix "scalar_".
 _CANONICAL_NAMES = {
@@ -92,8 +94,25 @@ def cloud_from_columns(
     with np.errstate(invalid="ignore"):  # a damaged float may be a NaN that "signals"
         for index, axis in enumerate(AXES):
             xyz[:, index] = columns[axis]
+    if any(columns[axis].dtype == np.float32 for axis in AXES):
+        _warn_of_coarse_floats(xyz, name)
     attributes = {key: values for key, values in columns.items() if key not in AXES}
     return PointCloud(xyz, attributes, metadata=metadata, name=name)
+
+
+def _warn_of_coarse_floats(xyz: NDArray[np.float64], name: str) -> None:
+    """Say where float32 was too short for the coordinates: at 4 000 000 it has steps of 0.25."""
+    finite = xyz[np.isfinite(xyz).all(axis=1)]
+    if len(finite) == 0:
+        return
+    lowest, highest = finite.min(axis=0), finite.max(axis=0)
+    steps = np.spacing(np.maximum(np.abs(lowest), np.abs(highest)).astype(np.float32))
+    axis = int(np.argmax(steps))
+    if steps[axis] > _COARSEST_STEP * np.linalg.norm(highest - lowest):
+        logger.warning(
+            "%s: was saved as float32, which rounds %s to steps of %.3g here; export it with doubles",
+            *(name, AXES[axis], steps[axis]),
+        )
 
 
 def attributes_to_write(cloud: PointCloud, *, blanks: bool = False) -> dict[str, NDArray[Any]]:
@@ -161,11 +180,14 @@ def cast_if_it_fits(values: NDArray[np.float64], kind: str) -> NDArray[Any]:
 
 
 def record_array(
-    columns: Mapping[str, NDArray[Any]], types: Iterable[np.dtype[Any]], n_points: int
+    columns: Mapping[str, NDArray[Any]],
+    types: Iterable[np.dtype[Any]],
+    n_points: int,
+    byte_order: Literal["<", ">"] = "<",
 ) -> NDArray[np.void]:
-    """Return the columns side by side as one packed structured array, cast to little-endian `types`."""
+    """Return the columns side by side as one packed structured array, cast to `types` in a byte order."""
     fields = [
-        (name, kind.newbyteorder("<"), values.shape[1:])
+        (name, kind.newbyteorder(byte_order), values.shape[1:])
         for (name, values), kind in zip(columns.items(), types, strict=True)
     ]
     records = np.empty(n_points, dtype=np.dtype(fields))

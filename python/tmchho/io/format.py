@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tmchho.cloud import PointCloud
+from tmchho.io.window import Window
 
 Reader = Callable[[Path], PointCloud]
+PartReader = Callable[[Path, Window], PointCloud]
 Writer = Callable[[PointCloud, Path, Mapping[str, Any]], None]
+
+# What a person should hear although nothing is wrong: columns that were guessed, points that were left out.
+# Between INFO and WARNING, so that the command line can show these and not the rest.
+NOTE = 25
+logging.addLevelName(NOTE, "NOTE")
 
 
 @dataclass(frozen=True)
@@ -26,20 +34,25 @@ class Format:
         How messages call the family.
     extensions : tuple of str
         Lower case, with the dot.
-    first_bytes : tuple of bytes
-        What gives a file of the family away; empty for plain text.
-    mark_is_needed : bool
-        Whether a file that begins with none of `first_bytes` cannot be of this family.
+    recognises : callable
+        Whether the first 4 KiB of a file are those of this family.
     read : callable
         Reads an existing, not empty file.
     write : callable, optional
         Writes a cloud to a path; the mapping is the metadata of the cloud whose layout is to be kept.
         None if the family can only be read.
+    read_part : callable, optional
+        Reads the points of a window; None if the whole file has to be read for that.
     """
 
     name: str
     extensions: tuple[str, ...]
-    first_bytes: tuple[bytes, ...]
-    mark_is_needed: bool
+    recognises: Callable[[bytes], bool]
     read: Reader
     write: Writer | None
+    read_part: PartReader | None = None
+
+
+def starts_with(*marks: bytes) -> Callable[[bytes], bool]:
+    """Return a `Format.recognises` for families whose files begin with one of `marks`."""
+    return lambda head: head.startswith(marks)

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError
-from tmchho.io.format import Format
+from tmchho.io.copc import INFO, decompress_part
+from tmchho.io.format import Format, starts_with
 from tmchho.io.las_extra import read_dimensions
 from tmchho.io.las_header import (
     EXTRA_BYTES,
@@ -30,32 +31,37 @@ from tmchho.io.las_header import (
 )
 from tmchho.io.las_write import write_las
 from tmchho.io.laz import decompress
+from tmchho.io.window import Window
 
 logger = logging.getLogger(__name__)
 # laspy logs what it also raises; without a handler Python would print that to the terminal.
 logging.getLogger("laspy").addHandler(logging.NullHandler())
 
 
-def _read(path: Path) -> PointCloud:
+def _read(path: Path, window: Window | None = None) -> PointCloud:
     header = read_header(path)
+    if window and window.resolution is not None and header.find(INFO) is None:
+        raise ReadError("is no COPC file, so that it cannot be read at a resolution; leave it out")
     if header.n_points == 0:
         raise ReadError("contains no points; choose a file with points")
     point_format = laspy.PointFormat(header.point_format)
     standard = [dimension.name for dimension in point_format.dimensions]
     extra = read_dimensions(
-        header.find(EXTRA_BYTES),
+        header.find_all(EXTRA_BYTES),  # some programs add a record of their own
         header.point_bytes - POINT_BYTES[header.point_format],
         {*standard, *point_format.dtype().names},
     )
     for dimension in extra:
         point_format.add_extra_dimension(dimension.parameters)
-    records = _read_points(path, header, point_format.dtype())
-
-    xyz = np.empty((header.n_points, 3))
+    records = _read_points(path, header, point_format.dtype(), window)
+    xyz = np.empty((len(records), 3))
     for index, axis in enumerate("XYZ"):
         xyz[:, index] = records[axis] * header.scales[index] + header.offsets[index]
-    if header.is_compressed:
-        _check_bounds(xyz, header)
+    if len(xyz):
+        _check_bounds(xyz, header, path)
+    if window is not None:
+        inside = window.holds(xyz)
+        xyz, records = xyz[inside], records[inside]
     unpacked = laspy.PackedPointRecord(records, point_format)
     attributes = {name: np.array(unpacked[name]) for name in standard if name not in ("X", "Y", "Z")}
     attributes.update({dimension.name: dimension.decode(records[dimension.name]) for dimension in extra})
@@ -64,14 +70,18 @@ def _read(path: Path) -> PointCloud:
     return PointCloud(xyz, attributes, crs, metadata, str(path))
 
 
-def _read_points(path: Path, header: LasHeader, dtype: np.dtype[np.void]) -> NDArray[np.void]:
+def _read_points(
+    path: Path, header: LasHeader, dtype: np.dtype[np.void], window: Window | None
+) -> NDArray[np.void]:
+    if window is not None and header.is_compressed and header.find(INFO) is not None:
+        return decompress_part(path, header, window).view(dtype)
     if header.is_compressed:
         return decompress(path, header).view(dtype)
     return np.fromfile(path, dtype=dtype, count=header.n_points, offset=header.points_at)
 
 
-def _check_bounds(xyz: NDArray[np.float64], header: LasHeader) -> None:
-    """Raise if decoded points lie far outside the header's bounds: LAZ has no checksum of its own."""
+def _check_bounds(xyz: NDArray[np.float64], header: LasHeader, path: Path) -> None:
+    """Warn of points outside the header's bounds; raise for LAZ, which has no checksum, if they are far."""
     lowest, highest = np.array(header.minima), np.array(header.maxima)
     diagonal = math.dist(header.minima, header.maxima)
     if not (0 < diagonal < math.inf and (lowest <= highest).all()):
@@ -80,12 +90,12 @@ def _check_bounds(xyz: NDArray[np.float64], header: LasHeader) -> None:
     below = lowest - [xyz[:, axis].min() for axis in range(3)]
     above = np.array([xyz[:, axis].max() for axis in range(3)]) - highest
     excess = float(max(below.max(), above.max()))
-    if excess > diagonal:
+    if excess > diagonal and header.is_compressed:
         raise ReadError(
             f"is damaged: points lie up to {excess:.6g} outside the bounds in its header; copy it again"
         )
     if excess > max(header.scales):
-        logger.warning("points lie up to %.6g outside the bounds in the header", excess)
+        logger.warning("%s: points lie up to %.6g outside the bounds in the header", path, excess)
 
 
 def _crs(header: LasHeader) -> str | None:
@@ -117,8 +127,8 @@ def _crs(header: LasHeader) -> str | None:
 FORMAT = Format(
     name="LAS/LAZ",
     extensions=(".las", ".laz"),
-    first_bytes=(SIGNATURE,),
-    mark_is_needed=True,
+    recognises=starts_with(SIGNATURE),
     read=_read,
     write=write_las,
+    read_part=_read,
 )

@@ -70,13 +70,13 @@ class ExtraDimension:
         return np.asarray(steps.astype(self.kind))
 
 
-def read_dimensions(descriptors: bytes | None, n_bytes: int, taken: Collection[str]) -> list[ExtraDimension]:
+def read_dimensions(descriptors: bytes, n_bytes: int, taken: Collection[str]) -> list[ExtraDimension]:
     """Return the dimensions that share the extra bytes of a point.
 
     Parameters
     ----------
-    descriptors : bytes, optional
-        Content of the extra bytes record, None if the file has none.
+    descriptors : bytes
+        Content of the extra bytes records, empty if the file has none.
     n_bytes : int
         Extra bytes in each point.
     taken : collection of str
@@ -90,8 +90,8 @@ def read_dimensions(descriptors: bytes | None, n_bytes: int, taken: Collection[s
     dimensions: list[ExtraDimension] = []
     n_left = n_bytes
     names = set(taken)
-    for start in range(0, len(descriptors or b"") // _DESCRIPTOR.size * _DESCRIPTOR.size, _DESCRIPTOR.size):
-        dimension = _parse(_DESCRIPTOR.unpack_from(descriptors or b"", start), names)
+    for start in range(0, len(descriptors) // _DESCRIPTOR.size * _DESCRIPTOR.size, _DESCRIPTOR.size):
+        dimension = _parse(_DESCRIPTOR.unpack_from(descriptors, start), names)
         if dimension is None or dimension.n_bytes > n_left:
             break
         dimensions.append(dimension)

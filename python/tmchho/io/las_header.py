@@ -103,6 +103,12 @@ class LasHeader:
                 return record.data
         return None
 
+    def find_all(self, key: tuple[str, int]) -> bytes:
+        """Return the bytes of all records with that owner and number, one after the other."""
+        return b"".join(
+            record.data for record in (*self.records, *self.extended_records) if record.key == key
+        )
+
 
 def read_header(path: Path) -> LasHeader:
     """Read the header with its records, and check that the file can hold what it promises.

@@ -24,7 +24,7 @@ _POINTS_AT_ONCE = 500_000
 _POINTWISE, _LAYERED = 1, 3  # the first compressor, one stream without chunks, and that of LAS 1.4
 _VARIABLE_CHUNKS = 0xFFFFFFFF
 # Identical points, the best case, come to less than 150 a byte.
-_MAX_POINTS_PER_BYTE = 500
+MAX_POINTS_PER_BYTE = 500
 # Layers of the parts of a point, by the number of the part; extra bytes have one layer each.
 _N_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 _EXTRA_BYTES_PART = 14
@@ -32,7 +32,16 @@ _LAYERED_PARTS = (*_N_LAYERS, _EXTRA_BYTES_PART)
 
 
 @dataclass(frozen=True)
-class _Compression:
+class Chunk:
+    """Points that are packed together: where, how many bytes, how many points."""
+
+    start: int
+    n_bytes: int
+    n_points: int
+
+
+@dataclass(frozen=True)
+class Compression:
     """What the LASzip record says."""
 
     compressor: int
@@ -42,6 +51,7 @@ class _Compression:
 
     @property
     def n_layers(self) -> int:
+        """How many layers a chunk of the layered compressor has."""
         return sum(
             n_bytes if number == _EXTRA_BYTES_PART else _N_LAYERS.get(number, 0)
             for number, n_bytes, _ in self.parts
@@ -60,10 +70,10 @@ def decompress(path: Path, header: LasHeader) -> NDArray[np.uint8]:
     ReadError
         If the file is truncated or damaged.
     """
-    compression = _compression(header)
+    compression = read_compression(header)
     n_bytes = path.stat().st_size
     n_packed = n_bytes - header.points_at
-    if header.n_points > n_packed * _MAX_POINTS_PER_BYTE:
+    if header.n_points > n_packed * MAX_POINTS_PER_BYTE:
         raise ReadError(
             f"promises {header.n_points} points in {n_packed} compressed bytes, which cannot be; "
             "export it again"
@@ -92,7 +102,7 @@ def decompress(path: Path, header: LasHeader) -> NDArray[np.uint8]:
 
 
 def _parts_between_signals(
-    data: NDArray[np.uint8], header: LasHeader, compression: _Compression
+    data: NDArray[np.uint8], header: LasHeader, compression: Compression
 ) -> list[NDArray[np.uint8]]:
     """Cut the buffer into whole chunks: the decoder does not hear Ctrl-C, the loop over these does."""
     chunk_size = compression.chunk_size
@@ -102,23 +112,25 @@ def _parts_between_signals(
     return [data[start : start + step] for start in range(0, len(data), step)]
 
 
-def _compression(header: LasHeader) -> _Compression:
+def read_compression(header: LasHeader) -> Compression:
+    """Return how the points of a file are compressed; raise ReadError if its record is missing or wrong."""
     record = header.find(LASZIP)
     if record is None or len(record) < 34:
         raise ReadError("is damaged: the record that tells how it is compressed is missing; copy it again")
     (n_parts,) = struct.unpack_from("<H", record, 32)
-    parts = list(struct.iter_unpack("<HHH", record[34 : 34 + 6 * n_parts]))
-    if len(record) < 34 + 6 * n_parts or sum(n_bytes for _, n_bytes, _ in parts) != header.point_bytes:
+    listed = record[34 : 34 + 6 * n_parts]
+    parts = list(struct.iter_unpack("<HHH", listed[: len(listed) // 6 * 6]))
+    if len(parts) < n_parts or sum(n_bytes for _, n_bytes, _ in parts) != header.point_bytes:
         raise ReadError("contradicts itself: its compressed points have another size; export it again")
     compressor, chunk_size = struct.unpack_from("<H10xI", record)
     if any((compressor == _LAYERED) != (number in _LAYERED_PARTS) for number, _, _ in parts):
         raise ReadError(
             f"contradicts itself: compressor {compressor} for points of another kind; export it again"
         )
-    return _Compression(compressor, chunk_size, parts, record)
+    return Compression(compressor, chunk_size, parts, record)
 
 
-def _check_chunks(stream: IO[bytes], header: LasHeader, compression: _Compression, n_bytes: int) -> None:
+def _check_chunks(stream: IO[bytes], header: LasHeader, compression: Compression, n_bytes: int) -> None:
     """Raise if the table of chunks, at the end of the file, is missing or does not add up."""
     expected = f"expected {header.n_points} points"
     stream.seek(header.points_at)
@@ -141,27 +153,48 @@ def _check_chunks(stream: IO[bytes], header: LasHeader, compression: _Compressio
     if sum(length for _, length in chunks) != n_chunk_bytes:
         raise ReadError(f"is damaged: {expected}, but the lengths of its chunks do not add up; copy it again")
     if compression.compressor == _LAYERED:
-        chunks = _check_layers(stream, header, compression, chunks)
-    n_held = sum(n_points for n_points, _ in chunks)
+        listed, start = [], header.points_at + 8
+        for n_points, length in chunks:
+            listed.append(Chunk(start, length, n_points))
+            start += length
+        n_held = check_layers(stream, header, compression, listed)
+    else:
+        n_held = sum(n_points for n_points, _ in chunks)
     if n_held < header.n_points:
         raise ReadError(f"is truncated or damaged: {expected}, file holds {n_held}; copy it again")
     if compression.chunk_size == _VARIABLE_CHUNKS and n_held != header.n_points:
         raise ReadError(f"contradicts itself: {expected}, its chunks hold {n_held}; export it again")
 
 
-def _check_layers(
-    stream: IO[bytes], header: LasHeader, compression: _Compression, chunks: list[tuple[int, int]]
-) -> list[tuple[int, int]]:
-    """Check that the layers of every chunk fill it exactly; return the chunks with their true counts."""
+def check_layers(stream: IO[bytes], header: LasHeader, compression: Compression, chunks: list[Chunk]) -> int:
+    """Check that the layers of every chunk fill it exactly.
+
+    Parameters
+    ----------
+    stream : binary file
+        The LAZ file.
+    header, compression
+        What it says of itself; the compressor is the layered one.
+    chunks : list of Chunk
+        Inside the file; each holds at most the number of points that is listed.
+
+    Returns
+    -------
+    int
+        How many points the chunks themselves say they hold.
+
+    Raises
+    ------
+    ReadError
+        If one does not add up.
+    """
     layout = struct.Struct(f"<{1 + compression.n_layers}I")
     n_fixed = header.point_bytes + layout.size
-    start = header.points_at + 8
-    counted: list[tuple[int, int]] = []
-    for number, (n_listed, length) in enumerate(chunks, 1):
-        stream.seek(start + header.point_bytes)
+    n_held = 0
+    for number, chunk in enumerate(chunks, 1):
+        stream.seek(chunk.start + header.point_bytes)
         n_points, *layers = layout.unpack(stream.read(layout.size).ljust(layout.size, b"\0"))
-        if sum(layers) + n_fixed != length or n_points > n_listed:
+        if sum(layers) + n_fixed != chunk.n_bytes or n_points > chunk.n_points:
             raise ReadError(f"is damaged in compressed chunk {number} of {len(chunks)}; copy it again")
-        counted.append((n_points, length))
-        start += length
-    return counted
+        n_held += n_points
+    return n_held

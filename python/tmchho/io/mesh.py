@@ -23,8 +23,16 @@ logger = logging.getLogger(__name__)
 _OTHER_LINE = re.compile(rb"^(?![ \t]*v[ \t]).*$", re.MULTILINE)
 _VERTEX_MARK = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 
+_FIRST_KEYWORD = re.compile(rb"(?:#[^\n]*\n|\s)*(?:v|vn|vt|vp|o|g|s|mtllib|usemtl)[ \t]")
+_TELLING_LINE = re.compile(rb"^[ \t]*(?:v|vn|vt|f|mtllib|usemtl)[ \t]", re.MULTILINE)
+
 # What may follow x y z, by the number of values: a weight, a colour, or both.
 _EXTRA_COLUMNS = {3: (), 4: ("weight",), 6: COLOURS, 7: (*COLOURS, "alpha")}
+
+
+def _is_mesh(head: bytes) -> bool:
+    lines = head.replace(b"\r", b"\n")
+    return _FIRST_KEYWORD.match(lines) is not None and _TELLING_LINE.search(lines) is not None
 
 
 def _read(path: Path) -> PointCloud:
@@ -48,8 +56,7 @@ def _read(path: Path) -> PointCloud:
 FORMAT = Format(
     name="OBJ",
     extensions=(".obj",),
-    first_bytes=(),
-    mark_is_needed=False,
+    recognises=_is_mesh,
     read=_read,
     write=None,
 )

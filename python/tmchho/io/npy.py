@@ -23,11 +23,19 @@ from tmchho.io.fields import (
     cloud_from_columns,
     record_array,
 )
-from tmchho.io.format import Format
+from tmchho.io.format import Format, starts_with
 
 logger = logging.getLogger(__name__)
 
+_VERSIONS = ((1, 0), (2, 0), (3, 0))
+_MAX_DEFLATE_RATIO = 1032
 _POINT_ARRAYS = ("xyz", "points", "pos", "arr_0")
+
+
+def _is_archive_of_arrays(head: bytes) -> bool:
+    """Return whether a ZIP archive begins with an array."""
+    n_name = int.from_bytes(head[26:28], "little")
+    return head.startswith(b"PK\x03\x04") and head[30 : 30 + n_name].endswith(b".npy")
 
 
 def _read(path: Path) -> PointCloud:
@@ -39,6 +47,11 @@ def _read(path: Path) -> PointCloud:
 def _read_archive(path: Path) -> PointCloud:
     arrays: dict[str, NDArray[Any]] = {}
     with zipfile.ZipFile(path) as archive:
+        n_promised, n_bytes = sum(entry.file_size for entry in archive.infolist()), path.stat().st_size
+        if n_promised > n_bytes * _MAX_DEFLATE_RATIO:
+            raise ReadError(
+                f"promises {n_promised} bytes in {n_bytes} compressed ones, which cannot be; save it again"
+            )
         for entry in archive.infolist():
             if entry.filename.endswith(".npy"):
                 with archive.open(entry) as stream:
@@ -60,6 +73,13 @@ def _read_archive(path: Path) -> PointCloud:
 def _read_array(stream: IO[bytes], n_bytes: int) -> NDArray[Any]:
     """Read one array after a look at its header, so that a false shape allocates nothing."""
     version = np.lib.format.read_magic(stream)
+    n_length = 2 if version == (1, 0) else 4
+    n_header = int.from_bytes(stream.read(n_length), "little")
+    if version not in _VERSIONS or n_header > n_bytes:
+        raise ReadError(
+            f"has a damaged header (version {version}, {n_header} bytes of {n_bytes}); save it again"
+        )
+    stream.seek(-n_length, 1)
     read_header = (
         np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     )
@@ -117,16 +137,14 @@ def _write_archive(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> No
 FORMAT = Format(
     name="NumPy array",
     extensions=(".npy",),
-    first_bytes=(b"\x93NUMPY",),
-    mark_is_needed=True,
+    recognises=starts_with(b"\x93NUMPY"),
     read=_read,
     write=_write,
 )
 ARCHIVE_FORMAT = Format(
     name="NumPy archive",
     extensions=(".npz",),
-    first_bytes=(b"PK\x03\x04",),
-    mark_is_needed=True,
+    recognises=_is_archive_of_arrays,
     read=_read_archive,
     write=_write_archive,
 )

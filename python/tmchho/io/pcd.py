@@ -10,6 +10,7 @@ Source: "The PCD (Point Cloud Data) file format", version 0.7, documentation of 
 from __future__ import annotations
 
 import logging
+import re
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -30,16 +31,21 @@ from tmchho.io.fields import (
     cast_if_it_fits,
     cloud_from_columns,
     colours_as_8_bit,
+    is_integral,
     record_array,
+    split_columns,
 )
 from tmchho.io.format import Format
-from tmchho.io.table import parse_table
+from tmchho.io.table import parse_table, write_table
 
 logger = logging.getLogger(__name__)
 
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
 _TYPE_LETTERS = {"F": "f", "I": "i", "U": "u"}
+_FIRST_KEY = re.compile(rb"#\s*\.PCD|(?:#[^\n]*\n|\s)*(?:VERSION|FIELDS|COLUMNS)[ \t]")
 _MAX_HEADER_BYTES = 1 << 16
+_MAX_POINT_BYTES = 2**31 - 1  # more, numpy has no type for
+_MAX_PACKED = 3 * 2**30  # bytes; the sizes are stored in 32 bits, and packing may add some
 _MAX_LZF_RATIO = 100  # a run of 264 bytes takes 3
 _PCL_NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
 _PACKED_COLOURS = {"rgb": COLOURS, "rgba": (*COLOURS, "alpha")}
@@ -92,6 +98,7 @@ def _read(path: Path) -> PointCloud:
         "viewpoint": header.viewpoint,
         "width": header.width,
         "height": header.height,
+        "encoding": header.encoding,
     }
     return cloud_from_columns(_named_columns(columns, header), metadata, str(path))
 
@@ -133,6 +140,9 @@ def _parse_header(entries: Mapping[str, list[str]], n_bytes: int, n_lines: int) 
                 f"has the unknown type {letter} {size} × {count} in field '{name}'; export it again"
             )
         fields.append(_Field(name, kind, int(count)))
+    n_point_bytes = sum(int(field.kind[1:]) * field.count for field in fields)
+    if n_point_bytes > _MAX_POINT_BYTES:
+        raise ReadError(f"promises {n_point_bytes} bytes for each point, which cannot be; export it again")
     width = _integer(entries, "WIDTH", 0)
     height = _integer(entries, "HEIGHT", 1)
     n_points = _integer(entries, "POINTS", width * height)
@@ -264,11 +274,40 @@ def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
         f"HEIGHT {height}",
         "VIEWPOINT " + " ".join(str(value) for value in viewpoint),
         f"POINTS {len(cloud)}",
-        "DATA binary\n",
     ]
+    encoding = _encoding(layout.get("encoding", "binary"), columns)
     with path.open("wb") as stream:
-        stream.write("\n".join(lines).encode())
-        record_array(columns, kinds, len(cloud)).tofile(stream)
+        stream.write("\n".join([*lines, f"DATA {encoding}\n"]).encode())
+        if encoding == "ascii":
+            write_table(stream, list(split_columns(columns).values()), b" ")
+        elif encoding == "binary":
+            record_array(columns, kinds, len(cloud)).tofile(stream)
+        else:
+            stream.write(_packed(columns))
+
+
+def _encoding(kept: str, columns: Mapping[str, NDArray[Any]]) -> str:
+    """Return the encoding of the file read before, or plain binary where that cannot hold the values."""
+    if kept == "binary_compressed" and sum(values.nbytes for values in columns.values()) > _MAX_PACKED:
+        logger.warning("compressed PCD holds 4 GB; written without compression")
+        return "binary"
+    if kept == "ascii" and any(
+        values.dtype.kind in "iu" and not is_integral(values, -(2**53), 2**53) for values in columns.values()
+    ):
+        logger.warning("whole numbers beyond 2^53 lose digits in text; written as binary PCD")
+        return "binary"
+    return kept
+
+
+def _packed(columns: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return all values of one field after those of the other, compressed by LZF, behind both sizes."""
+    plain = b"".join(
+        np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes()
+        for values in columns.values()
+    )
+    # What cannot be compressed grows by a byte for every 32.
+    packed: bytes = lzf.compress(plain, len(plain) + len(plain) // 16 + 64)
+    return struct.pack("<II", len(packed), len(plain)) + packed
 
 
 def _with_packed_colours(attributes: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -287,8 +326,7 @@ def _with_packed_colours(attributes: dict[str, NDArray[Any]]) -> dict[str, NDArr
 FORMAT = Format(
     name="PCD",
     extensions=(".pcd",),
-    first_bytes=(b"# .PCD", b"#.PCD", b"VERSION", b"FIELDS"),
-    mark_is_needed=False,
+    recognises=lambda head: _FIRST_KEY.match(head) is not None,
     read=_read,
     write=_write,
 )

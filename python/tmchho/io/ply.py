@@ -10,6 +10,8 @@ Source: G. Turk, "The PLY Polygon File Format" (1994).
 from __future__ import annotations
 
 import logging
+import mmap
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,8 +33,8 @@ from tmchho.io.fields import (
     record_array,
     split_columns,
 )
-from tmchho.io.format import Format
-from tmchho.io.table import parse_table
+from tmchho.io.format import Format, starts_with
+from tmchho.io.table import parse_table, write_table
 
 logger = logging.getLogger(__name__)
 
@@ -56,8 +58,13 @@ class _Element:
 
     name: str
     count: int
-    properties: list[tuple[str, str]] = field(default_factory=list)  # name, numpy type
-    has_list: bool = False
+    properties: list[tuple[str, str]] = field(default_factory=list)  # name, numpy type; without lists
+    layout: list[tuple[str | None, str]] = field(default_factory=list)  # type of a list's count, of values
+
+    @property
+    def has_list(self) -> bool:
+        """Whether its rows differ in length."""
+        return any(count is not None for count, _ in self.layout)
 
 
 @dataclass
@@ -79,10 +86,8 @@ def _read(path: Path) -> PointCloud:
         raise ReadError(f"has no vertices, only the elements: {others}; export the points as 'vertex'")
     before, vertex = header.elements[:index], header.elements[index]
     is_text = header.byte_order is None
-    if vertex.has_list or (not is_text and any(element.has_list for element in before)):
-        raise ReadError(
-            "has lists of variable length among or before the vertices; export the vertices alone"
-        )
+    if vertex.has_list:
+        raise ReadError("has lists of variable length among the vertices; export the vertices alone")
     if vertex.count == 0:
         raise ReadError("contains no points (element vertex 0); choose a file with points")
     if not vertex.properties:
@@ -92,7 +97,7 @@ def _read(path: Path) -> PointCloud:
     else:
         columns = _read_binary(path, header, before, vertex)
     names = canonical_names([name for name, _ in vertex.properties])
-    metadata = {"format": "ply", "comments": tuple(header.comments)}
+    metadata = {"format": "ply", "comments": tuple(header.comments), "byte_order": header.byte_order}
     return cloud_from_columns(dict(zip(names, columns, strict=True)), metadata, str(path))
 
 
@@ -127,10 +132,11 @@ def _parse_header(lines: list[str], n_bytes: int) -> _Header:
                 comments.append(line)
             case ["element", name, count] if count.isdigit():
                 elements.append(_Element(name, int(count)))
-            case ["property", "list", *_] if elements:
-                elements[-1].has_list = True
+            case ["property", "list", count, kind, _] if elements and {count, kind} <= set(_TYPES):
+                elements[-1].layout.append((_TYPES[count], _TYPES[kind]))
             case ["property", kind, name] if elements and kind in _TYPES:
                 elements[-1].properties.append((name, _TYPES[kind]))
+                elements[-1].layout.append((None, _TYPES[kind]))
             case ["element" | "property", *_]:
                 raise ReadError(
                     f"line {number} of the header is not understood: '{line[:60]}'; export it again"
@@ -159,7 +165,9 @@ def _read_text(path: Path, header: _Header, n_skipped: int, vertex: _Element) ->
 
 
 def _read_binary(path: Path, header: _Header, before: list[_Element], vertex: _Element) -> list[NDArray[Any]]:
-    start = header.n_bytes + sum(element.count * _row_type(element, "<").itemsize for element in before)
+    start = header.n_bytes
+    for element in before:
+        start = _end_of(path, start, element, str(header.byte_order))
     row_type = _row_type(vertex, str(header.byte_order))
     n_held = max(0, path.stat().st_size - start) // row_type.itemsize
     if n_held < vertex.count:
@@ -169,6 +177,31 @@ def _read_binary(path: Path, header: _Header, before: list[_Element], vertex: _E
         np.ascontiguousarray(rows[f"f{index}"], dtype=kind)
         for index, (_, kind) in enumerate(vertex.properties)
     ]
+
+
+def _end_of(path: Path, start: int, element: _Element, byte_order: str) -> int:
+    """Return the byte behind an element that stands before the vertices."""
+    if not element.has_list:
+        return start + element.count * _row_type(element, byte_order).itemsize
+    layout = [
+        (None if count is None else struct.Struct(byte_order + np.dtype(count).char), np.dtype(kind).itemsize)
+        for count, kind in element.layout
+    ]
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        for _ in range(element.count):  # row by row, because each may have another length
+            for count, n_bytes in layout:
+                n_values = 1
+                if count is not None:
+                    if start + count.size > len(data):
+                        raise ReadError(f"is truncated in its element '{element.name}'; copy it again")
+                    (n_values,) = count.unpack_from(data, start)
+                    start += count.size
+                if not 0 <= n_values <= len(data):
+                    raise ReadError(
+                        f"has a list of {n_values} values in its element '{element.name}'; export it again"
+                    )
+                start += int(n_values) * n_bytes
+    return start
 
 
 def _row_type(element: _Element, byte_order: str) -> np.dtype[np.void]:
@@ -181,10 +214,12 @@ def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
     attributes = split_columns(colours_as_8_bit(attributes_to_write(cloud)))
     columns.update({name: _without_long_integers(name, values) for name, values in attributes.items()})
     kinds = [values.dtype.str[1:] for values in columns.values()]
-    comments = kept.get("comments", ()) if kept.get("format") == "ply" else ()
+    layout = kept if kept.get("format") == "ply" else {}
+    comments, byte_order = layout.get("comments", ()), layout.get("byte_order", "<")
+    encoding = next(name for name, order in _BYTE_ORDERS.items() if order == byte_order)
     lines = [
         "ply",
-        "format binary_little_endian 1.0",
+        f"format {encoding} 1.0",
         *comments,
         f"element vertex {len(cloud)}",
         *(f"property {_TYPE_NAMES[kind]} {name}" for name, kind in zip(columns, kinds, strict=True)),
@@ -192,7 +227,10 @@ def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
     ]
     with path.open("wb") as stream:
         stream.write("\n".join(lines).encode())
-        record_array(columns, map(np.dtype, kinds), len(cloud)).tofile(stream)
+        if byte_order is None:
+            write_table(stream, list(columns.values()), b" ")
+        else:
+            record_array(columns, map(np.dtype, kinds), len(cloud), byte_order).tofile(stream)
 
 
 def _without_long_integers(name: str, values: NDArray[Any]) -> NDArray[Any]:
@@ -210,8 +248,7 @@ def _without_long_integers(name: str, values: NDArray[Any]) -> NDArray[Any]:
 FORMAT = Format(
     name="PLY",
     extensions=(".ply",),
-    first_bytes=(b"ply\n", b"ply\r", b"ply "),
-    mark_is_needed=True,
+    recognises=starts_with(b"ply\n", b"ply\r", b"ply "),
     read=_read,
     write=_write,
 )

@@ -1,7 +1,7 @@
-"""The table from file name to format, and the two doors `read` and `write`.
+"""The table of formats, and the two doors `read` and `write`.
 
-Why: what holds for every format is said once, here: the file exists, is not empty, is what its name says;
-every error names the file; nothing half-written stays behind.
+Why: what holds for every format is said once, here: the file exists and is not empty, its content decides
+what it is; every error names the file; nothing half-written stays behind.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from tmchho.cloud import PointCloud
 from tmchho.errors import (
@@ -21,26 +22,26 @@ from tmchho.errors import (
     TmchhoError,
     WriteError,
 )
-from tmchho.io import las, mesh, npy, pcd, ply, text
+from tmchho.io import e57, las, mesh, npy, pcd, ply, ptx, text
 from tmchho.io.atomic import atomic_path, reason
 from tmchho.io.format import Format
+from tmchho.io.kinds import HEAD_BYTES, check_family, family_of
+from tmchho.io.window import Window, window_of
 
 logger = logging.getLogger(__name__)
 
 FORMATS: tuple[Format, ...] = (
     las.FORMAT,
+    e57.FORMAT,
     ply.FORMAT,
     pcd.FORMAT,
-    text.FORMAT,
     npy.FORMAT,
     npy.ARCHIVE_FORMAT,
+    ptx.FORMAT,
     mesh.FORMAT,
+    text.FORMAT,
 )
 _BY_EXTENSION = {extension: family for family in FORMATS for extension in family.extensions}
-
-# Enough for every family's first bytes and for a NUL to turn up in a binary file.
-_HEAD_BYTES = 1024
-_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
 def known_extensions(*, writable: bool = False) -> tuple[str, ...]:
@@ -59,44 +60,65 @@ def known_extensions(*, writable: bool = False) -> tuple[str, ...]:
     return tuple(sorted(key for key, family in _BY_EXTENSION.items() if family.write or not writable))
 
 
-def read(path: str | os.PathLike[str], *, format: str | None = None) -> PointCloud:
+def read(
+    path: str | os.PathLike[str],
+    *,
+    format: str | None = None,
+    box: Any = None,
+    resolution: float | None = None,
+) -> PointCloud:
     """Read a point cloud with all its attributes.
 
     Parameters
     ----------
     path : str or path
-        The file; its extension chooses the format, in upper or lower case.
+        The file. Its content decides what it is; a name that says otherwise is warned of.
     format : str, optional
-        An extension (``"laz"``, ``".xyz"``) to use instead of the file's own.
+        An extension (``"laz"``, ``".xyz"``) whose format is to be used; a file of another one is refused.
+    box : (2, 2) or (2, 3) array_like, optional
+        Lowest and highest corner, in the file's coordinates, of the part that is wanted; with two numbers
+        each it is open upwards and downwards. Of a COPC file only that part is read.
+    resolution : float, optional
+        Distance between points, in the file's unit, that is close enough. Only COPC files can be read more
+        thinly; where they are, the next finer level is taken.
 
     Returns
     -------
     PointCloud
         Coordinates in float64 exactly as the file has them, at least one point; NaN stays NaN. Colours
-        keep the depth of the file: uint8 is 0..255, uint16 is 0..65535.
+        keep the depth of the file: uint8 is 0..255, uint16 is 0..65535. Scans of an E57 or PTX file are
+        moved by their poses and joined; ``scan_index`` tells them apart where there are several.
 
     Raises
     ------
     ReadError
-        If the file is missing, empty, of an unknown kind, not what its name says, truncated, damaged or
-        without points. The message is one sentence that names the file.
+        If the file is missing, empty, of an unknown kind, truncated, damaged or without points, also in
+        the box, or if `resolution` is asked of a file without levels. The message is one sentence that names
+        the file.
     InvalidArgumentError
-        If `format` is not known.
+        If `format` is not known, or `box` and `resolution` are none.
     BudgetError
         If the points do not fit into memory.
     """
     path = Path(path)
+    window = window_of(box, resolution)
+    chosen = None if format is None else _chosen_family(format)
     if not os.path.exists(path):
         raise ReadError(f"{path}: does not exist; check the name and the folder")
     if path.is_dir():
         raise ReadError(f"{path}: is a folder; name a file in it")
-    family = _format_to_read(path, format)
-    with _reading(path, family):
+    with _reading(path, chosen):
         head = _head_of(path)
-        _check_kind(head, family)
-        cloud = family.read(path)
+        if chosen is not None:
+            check_family(head, chosen, FORMATS, text.FORMAT)
+        family = chosen or family_of(head, path, FORMATS, text.FORMAT)
+    with _reading(path, family):
+        cloud = _read_part(family, path, window) if window else family.read(path)
         if len(cloud) == 0:
-            raise ReadError("contains no points; choose a file with points")
+            where = " in that box" if window else ""
+            raise ReadError(
+                f"contains no points{where}; choose {'another' if window else 'a file with points'}"
+            )
     logger.info("%s: read %d points, attributes %s", path, len(cloud), sorted(cloud.attributes))
     return cloud
 
@@ -143,25 +165,26 @@ def write(
         )
     if len(cloud) == 0:
         raise InvalidCloudError(f"{cloud.name}: has no points to write to {path}")
-    if cloud.crs is not None and family is not las.FORMAT:
+    if cloud.crs is not None and family not in (las.FORMAT, e57.FORMAT):
         logger.info("%s: %s has no room for the coordinate reference system", path, family.name)
     with atomic_path(path, overwrite, inputs) as temporary, _writing(path, family):
         family.write(cloud, temporary, (cloud if like is None else like).metadata)
     logger.info("%s: wrote %d points", path, len(cloud))
 
 
-def _format_to_read(path: Path, format: str | None) -> Format:
-    if format is not None:
-        extension = "." + format.lower().lstrip(".")
-        if extension not in _BY_EXTENSION:
-            raise InvalidArgumentError(f"format '{format}' is not one of {_listed(known_extensions())}")
-        return _BY_EXTENSION[extension]
-    family = _BY_EXTENSION.get(path.suffix.lower())
-    if family is None:
-        raise ReadError(
-            f"{path}: unknown extension '{path.suffix}'; the known ones are {_listed(known_extensions())}"
-        )
-    return family
+def _chosen_family(format: str) -> Format:
+    extension = "." + format.lower().lstrip(".")
+    if extension not in _BY_EXTENSION:
+        raise InvalidArgumentError(f"format '{format}' is not one of {_listed(known_extensions())}")
+    return _BY_EXTENSION[extension]
+
+
+def _read_part(family: Format, path: Path, window: Window) -> PointCloud:
+    if family.read_part is not None:
+        return family.read_part(path, window)
+    if window.resolution is not None:
+        raise ReadError("is no COPC file, so that it cannot be read at a resolution; leave it out")
+    return window.cut(family.read(path))
 
 
 def _format_to_write(path: Path) -> Format:
@@ -177,30 +200,14 @@ def _format_to_write(path: Path) -> Format:
 
 def _head_of(path: Path) -> bytes:
     with path.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES)
+        head = stream.read(HEAD_BYTES)
     if not head:
         raise ReadError("is empty (0 bytes); copy or export it again")
     return head
 
 
-def _check_kind(head: bytes, family: Format) -> None:
-    """Raise if the first bytes belong to another format than the one chosen by name."""
-    if family.first_bytes and head.startswith(family.first_bytes):
-        return
-    for other in FORMATS:
-        if other is not family and other.first_bytes and head.startswith(other.first_bytes):
-            raise ReadError(
-                f"is a {other.name} file although it was to be read as {family.name}; "
-                f"rename it to {_listed(other.extensions)} or give that format"
-            )
-    if family.mark_is_needed:
-        raise ReadError(f"is not a {family.name} file: the mark at its start is missing")
-    if not family.first_bytes and b"\0" in head and not head.startswith(_UTF16_MARKS):
-        raise ReadError(f"is not a {family.name} file: it holds binary data")
-
-
 @contextmanager
-def _reading(path: Path, family: Format) -> Iterator[None]:
+def _reading(path: Path, family: Format | None) -> Iterator[None]:
     """Turn whatever a reader or its library raises into one sentence that names the file."""
     try:
         yield
@@ -216,7 +223,8 @@ def _reading(path: Path, family: Format) -> Iterator[None]:
         raise
     except BaseException as error:  # a panic in a Rust decoder does not derive from Exception
         raise ReadError(
-            f"{path}: is damaged or not a valid {family.name} file ({reason(error)}); export it again"
+            f"{path}: is damaged or not a valid {family.name if family else 'point'} file ({reason(error)}); "
+            "export it again"
         ) from error
 
 

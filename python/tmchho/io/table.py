@@ -1,17 +1,19 @@
-"""Numbers out of lines of text, at numpy's speed, with a line number when they are wrong."""
+"""Numbers out of lines of text and back, at numpy's speed, with a line number when they are wrong."""
 
 from __future__ import annotations
 
 import io
 import re
 from collections.abc import Iterator, Sequence
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tmchho.errors import ReadError
 
-_BLANK_LINE = re.compile(rb"^[ \t]*\n", re.MULTILINE)
+BLANK_LINE = re.compile(rb"^[ \t]*\n", re.MULTILINE)
+_WRITE_ROWS = 100_000  # lines put together at once, so that memory stays small
 
 
 def parse_table(
@@ -50,13 +52,15 @@ def parse_table(
     ReadError
         If a line has another number of values or something that is not a number.
     """
-    wanted = list(range(n_columns)) if columns is None else list(columns)
     if not body.strip() or max_rows == 0:
-        return np.empty((0, len(wanted)))
+        return np.empty((0, n_columns if columns is None else len(columns)))
+    if n_columns > len(body):  # a header may promise any number
+        raise ReadError(f"line {first_line} has fewer than the {n_columns} values expected; correct it")
+    wanted = list(range(n_columns)) if columns is None else list(columns)
     if max_rows is not None:
         max_rows = min(max_rows, body.count(b"\n") + 1)  # numpy makes room for all of them at once
     # numpy complains about blank lines; for messages they stay, so that line numbers stay right.
-    rows = _BLANK_LINE.sub(b"", body) if _BLANK_LINE.search(body) else body
+    rows = BLANK_LINE.sub(b"", body) if BLANK_LINE.search(body) else body
     try:
         # Without `usecols` numpy insists on lines of equal length, which is the check that is needed.
         table = np.loadtxt(
@@ -74,6 +78,35 @@ def parse_table(
     except ValueError as error:
         raise _explained(body, n_columns, separator, wanted, first_line, max_rows, error) from None
     return np.asarray(table, dtype=np.float64)
+
+
+def write_table(stream: IO[bytes], columns: Sequence[NDArray[Any]], separator: bytes) -> None:
+    """Write columns of equal length as lines, each number with the fewest digits that read back as it was.
+
+    Parameters
+    ----------
+    stream : binary file
+        Open for writing.
+    columns : sequence of (n,) arrays
+        Of plain numbers.
+    separator : bytes
+        One character.
+    """
+    for start in range(0, len(columns[0]), _WRITE_ROWS):
+        stream.write(_lines([values[start : start + _WRITE_ROWS] for values in columns], separator))
+
+
+def _lines(columns: list[NDArray[Any]], separator: bytes) -> bytes:
+    n_rows = len(columns[0])
+    pieces: list[NDArray[np.uint8]] = []
+    for index, values in enumerate(columns):
+        # numpy writes the shortest exact digits and pads with NUL bytes, which are dropped at the end.
+        words = values.astype("S32")
+        pieces.append(words.view(np.uint8).reshape(n_rows, -1))
+        mark = b"\n" if index == len(columns) - 1 else separator
+        pieces.append(np.full((n_rows, 1), mark[0], dtype=np.uint8))
+    characters = np.hstack(pieces)
+    return bytes(characters[characters != 0])
 
 
 def is_number(word: str) -> bool:

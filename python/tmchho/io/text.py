@@ -1,7 +1,7 @@
 """Plain text: one point a line, as total stations, spreadsheets and CloudCompare write it.
 
 Why so much guessing: there is no standard. Separator, decimal comma, header line, comments and a leading
-number of points are recognised from the first lines; what was assumed goes to the log.
+number of points are recognised from the first lines; what was assumed is said.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from tmchho.errors import ReadError
 from tmchho.io.fields import (
     AXES,
     COLOURS,
+    NORMALS,
     attributes_to_write,
     canonical_name,
     canonical_names,
@@ -28,13 +29,15 @@ from tmchho.io.fields import (
     is_integral,
     split_columns,
 )
-from tmchho.io.format import Format
-from tmchho.io.table import is_number, parse_table, split_line
+from tmchho.io.format import NOTE, Format
+from tmchho.io.table import is_number, parse_table, split_line, write_table
 
 logger = logging.getLogger(__name__)
 
 _COMMENT_MARKS = ("//", "#", "%", "!", ";")
 _COMMENT_LINE = re.compile(rb"^[ \t]*(?://|[#%!;]).*$", re.MULTILINE)
+
+_COUNT_LINE = re.compile(rb"^[ \t]*\d{1,18}[ \t]*$", re.MULTILINE)
 
 # (separator, decimal mark), the stricter reading first: the first of the best ones wins.
 _DIALECTS = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (None, "."), (None, ","))
@@ -50,8 +53,8 @@ _AXIS_NAMES = {
 # What Leica's .pts puts after x y z, by the total number of columns.
 _PTS_COLUMNS = {4: ("intensity",), 6: COLOURS, 7: ("intensity", *COLOURS)}
 
+_N_LOOKED_AT = 20  # lines after the first point, which tell whether a word in it is a mistake
 _MAX_PREAMBLE = 1000  # lines in which the first point must turn up
-_WRITE_ROWS = 100_000  # lines put together at once, so that memory stays small
 
 
 @dataclass(frozen=True)
@@ -70,14 +73,11 @@ class _Layout:
 def _read(path: Path) -> PointCloud:
     data = _as_utf8_lines(path.read_bytes())
     layout = _recognise(data)
-    logger.info(
-        "%s: assumed %s between values, decimal '%s', numbers from line %d on, columns %s",
-        *(path, _SEPARATOR_NAMES[layout.separator], layout.decimal, layout.first_line),
-        " ".join(layout.names) if layout.names else f"unnamed ({layout.n_columns})",
-    )
     body = data.split(b"\n", layout.first_line - 1)[-1]
     if any(mark.encode() in body for mark in _COMMENT_MARKS):
         body = _COMMENT_LINE.sub(b"", body)  # the lines stay, empty, so that line numbers stay right
+    if layout.n_announced is not None:
+        body, layout = _without_further_counts(body, layout)
     if layout.decimal == ",":
         body = body.replace(b",", b".")
     all_numeric = len(layout.numeric) == layout.n_columns
@@ -93,8 +93,22 @@ def _read(path: Path) -> PointCloud:
     if layout.n_announced is not None and len(table) > layout.n_announced:
         logger.warning("%s: announces %d points and holds %d", path, layout.n_announced, len(table))
     columns = _named_columns(table, layout, path)
+    logger.log(
+        NOTE,
+        "%s: assumed %s between values, decimal '%s', numbers from line %d on, columns %s",
+        *(path, _SEPARATOR_NAMES[layout.separator], layout.decimal, layout.first_line, " ".join(columns)),
+    )
     metadata = {"format": "text", "separator": layout.separator, "decimal": layout.decimal}
     return cloud_from_columns(columns, metadata, str(path))
+
+
+def _without_further_counts(body: bytes, layout: _Layout) -> tuple[bytes, _Layout]:
+    """Add up the counts of a file of several scans, each of which begins with its own."""
+    counts = _COUNT_LINE.findall(body)
+    if not counts:
+        return body, layout
+    n_announced = (layout.n_announced or 0) + sum(map(int, counts))
+    return _COUNT_LINE.sub(b"", body), replace(layout, n_announced=n_announced)
 
 
 def _as_utf8_lines(data: bytes) -> bytes:
@@ -121,6 +135,7 @@ def _recognise(data: bytes) -> _Layout:
         numeric = _numeric_columns(line, *dialect)
         n_columns = len(split_line(line, dialect[0]))
         if len(numeric) >= 3:
+            _check_dropped(data, number, dialect, numeric, n_columns)
             names = _names(header, comment, dialect[0], n_columns)
             return _Layout(*dialect, number, n_columns, numeric, names, n_announced)
         if n_announced is None and line.isdigit():
@@ -135,6 +150,21 @@ def _recognise(data: bytes) -> _Layout:
     if header is not None:
         raise ReadError(f"has no line of numbers (line {header[0]} begins '{header[1][:40]}')")
     raise ReadError("contains no points; choose a file with points")
+
+
+def _check_dropped(
+    data: bytes, first_line: int, dialect: tuple[str | None, str], numeric: list[int], n_columns: int
+) -> None:
+    """Raise if a word of the first point is no number, but all that stand below it are."""
+    lines = data.split(b"\n", first_line + _N_LOOKED_AT)[first_line : first_line + _N_LOOKED_AT]
+    decoded = [line.decode("utf-8", errors="replace").strip() for line in lines]
+    points = [line for line in decoded if line and not line.startswith(_COMMENT_MARKS)]
+    below = [set(_numeric_columns(line, *dialect)) for line in points]
+    for column in sorted(set(range(n_columns)) - set(numeric)):
+        if below and all(column in others for others in below):
+            raise ReadError(
+                f"line {first_line}, column {column + 1} is not a number, but those below it are; correct it"
+            )
 
 
 def _numeric_columns(line: str, separator: str | None, decimal: str) -> list[int]:
@@ -185,7 +215,7 @@ def _named_columns(table: NDArray[np.float64], layout: _Layout, path: Path) -> d
 
 
 def _names_by_position(table: NDArray[np.float64], path: Path) -> list[str]:
-    """Name the columns of a file without header: x y z, then colours where the values allow it."""
+    """Name the columns of a file without header: x y z, then colours or normals where the values allow."""
     n_columns = table.shape[1]
     names = [*AXES, *(f"column_{number}" for number in range(4, n_columns + 1))]
     if n_columns > 3 and len(table) > 2 and (np.diff(table[:, 0]) == 1).all():
@@ -194,7 +224,16 @@ def _names_by_position(table: NDArray[np.float64], path: Path) -> list[str]:
         names[3:] = _PTS_COLUMNS[n_columns]
     elif n_columns >= 6 and is_integral(table[:, 3:6], 0, 255) and table[:, 3:6].max(initial=0) > 1:
         names[3:6] = COLOURS
+    if _are_directions(table[:, 3:6]):
+        names[3:6] = NORMALS
+    elif names[3:6] == list(COLOURS) and _are_directions(table[:, 6:9]):
+        names[6:9] = NORMALS
     return names
+
+
+def _are_directions(table: NDArray[np.float64]) -> bool:
+    """Return whether every row is a vector of length 1, as normals are."""
+    return table.shape[1] == 3 and bool((np.abs(np.linalg.norm(table, axis=1) - 1) < 1e-3).all())
 
 
 def _narrowed(name: str, values: NDArray[np.float64]) -> NDArray[Any]:
@@ -221,30 +260,13 @@ def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
         header = f"{len(cloud)}\n{header}"
     with path.open("wb") as stream:
         stream.write(header.encode())
-        for start in range(0, len(cloud), _WRITE_ROWS):
-            rows = [values[start : start + _WRITE_ROWS] for values in columns.values()]
-            stream.write(_lines(rows, separator.encode()))
-
-
-def _lines(columns: list[NDArray[Any]], separator: bytes) -> bytes:
-    """Return the columns as lines, each number with the fewest digits that read back as the same number."""
-    n_rows = len(columns[0])
-    pieces: list[NDArray[np.uint8]] = []
-    for index, values in enumerate(columns):
-        # numpy writes the shortest exact digits and pads with NUL bytes, which are dropped at the end.
-        words = values.astype("S32")
-        pieces.append(words.view(np.uint8).reshape(n_rows, -1))
-        mark = b"\n" if index == len(columns) - 1 else separator
-        pieces.append(np.full((n_rows, 1), mark[0], dtype=np.uint8))
-    characters = np.hstack(pieces)
-    return bytes(characters[characters != 0])
+        write_table(stream, list(columns.values()), separator.encode())
 
 
 FORMAT = Format(
     name="text",
     extensions=(".xyz", ".txt", ".csv", ".asc", ".pts"),
-    first_bytes=(),
-    mark_is_needed=False,
+    recognises=lambda head: False,  # no mark tells; see `tmchho.io.kinds`
     read=_read,
     write=_write,
 )

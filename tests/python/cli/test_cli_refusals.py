@@ -64,7 +64,7 @@ def _missing(folder: Path, good: Path) -> Path:
 
 
 def _unknown(folder: Path, good: Path) -> Path:
-    (folder / "cloud.docx").write_text("1 2 3")
+    (folder / "cloud.docx").write_bytes(b"\0\1\2\3")
     return folder / "cloud.docx"
 
 
