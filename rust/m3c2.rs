@@ -330,6 +330,29 @@ mod tests {
     }
 
     #[test]
+    fn any_number_of_threads_gives_the_same_bits() {
+        let mut stream = Stream::new(6, "m3c2", 0);
+        let (a, b) = (
+            ground(20_000, 0.03, 0.0, &mut stream),
+            ground(20_000, 0.03, 0.1, &mut stream),
+        );
+        let places: Vec<Point> = (0..10).flat_map(|_| cores(&mut stream)).collect();
+        let measured = |n_threads| {
+            crate::parallel::with_threads(Some(n_threads), || {
+                let (a, b) = (NeighborIndex::new(&a), NeighborIndex::new(&b));
+                let (silent, options) = (Progress::silent(), M3c2Options::default());
+                let scales = M3c2Scales::derive(&a, &b, &options, &silent)?;
+                let found = m3c2(&places, &a, &b, &scales, &options, &silent)?;
+                let bits = |c: &M3c2Change| [c.distance_m, c.significant_from_m].map(f64::to_bits);
+                Ok(found.iter().map(bits).collect::<Vec<_>>())
+            })
+        };
+        let one = measured(1);
+        assert!(one.is_ok());
+        assert_eq!(one, measured(4));
+    }
+
+    #[test]
     fn twenty_points_and_a_flat_normal() {
         let mut stream = Stream::new(3, "m3c2", 0);
         // Dense and smooth against sparse and rough: the sparse one sets the cylinder.
