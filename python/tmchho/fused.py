@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -41,7 +42,8 @@ class FusedCloud(ReadOnlyArrays):
     n_filled_by_source, n_filled_by_target : int
         How many points of the one cloud fill a hole of the other.
     area_filled_by_source, area_filled_by_target : float
-        Area of the surface that these points show; see ``docs/files.md`` for how it is measured.
+        Area of the surface that these points show, NaN where it was not measured; ``docs/files.md`` says how it
+        is measured.
     n_repeated : int
         Points of the source that were left out because they repeat the target.
     """
@@ -54,9 +56,9 @@ class FusedCloud(ReadOnlyArrays):
     hole_radius: float
     n_filled_by_source: int
     n_filled_by_target: int
-    area_filled_by_source: float
-    area_filled_by_target: float
-    n_repeated: int
+    area_filled_by_source: float = math.nan
+    area_filled_by_target: float = math.nan
+    n_repeated: int = 0
 
     def to_point_cloud(self, source: PointCloud, target: PointCloud) -> PointCloud:
         """Return the points with the attributes of the clouds they come from.

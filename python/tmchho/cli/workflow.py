@@ -172,15 +172,18 @@ def _register(job: Job, source: PointCloud, target: PointCloud, shown: Display) 
         shown.note(f"{cloud.name}: {len(cloud):,} points take part in finding the pose")
     found = register(*clouds, config=job.settings, progress=shown.on_event)
     measured = evaluate(source, target, found, tolerance=found.max_distance)
-    assert measured.source_to_target_statistics is not None
-    assert measured.target_to_source_statistics is not None
-    shares = [share or 0.0 for share in measured.share_within or (0.0, 0.0)]
+    # There are points, or there were no pose.
+    forth, back = measured.source_to_target_statistics, measured.target_to_source_statistics
+    assert forth is not None
+    assert back is not None
+    assert measured.share_within is not None
+    overlaps = [share or 0.0 for share in measured.share_within]
     return replace(
         found,
-        source_to_target=measured.source_to_target_statistics,
-        target_to_source=measured.target_to_source_statistics,
-        overlap_of_source=shares[0],
-        overlap_of_target=shares[1],
+        source_to_target=forth,
+        target_to_source=back,
+        overlap_of_source=overlaps[0],
+        overlap_of_target=overlaps[1],
     )
 
 

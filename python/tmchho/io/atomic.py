@@ -138,7 +138,7 @@ def reason(error: BaseException) -> str:
 
 
 def _flush_folder(folder: Path) -> None:
-    """Wait until the new name is on the disk, where the system can: a power cut must not bring the old one."""
+    """Wait until the new name is on the disk, where the system can: a power cut must not undo it."""
     with suppress(OSError):  # Windows opens no folders, and some network drives sync none
         handle = os.open(folder, os.O_RDONLY)
         try:
