@@ -42,8 +42,8 @@ class FusedCloud(ReadOnlyArrays):
     n_filled_by_source, n_filled_by_target : int
         How many points of the one cloud fill a hole of the other.
     area_filled_by_source, area_filled_by_target : float
-        Area of the surface that these points show, NaN where it was not measured; ``docs/files.md`` says how it
-        is measured.
+        Area of the surface that these points show, NaN where it was not measured; ``docs/files.md`` says how
+        it is measured.
     n_repeated : int
         Points of the source that were left out because they repeat the target.
     """
