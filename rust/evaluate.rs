@@ -5,8 +5,14 @@
 //! point, and the numbers that sum them up.
 //! Source: Ren, Zhao & Han (2023), Sec. 5.3, Table 7: cloud-to-cloud distances, their average,
 //! best, worst and standard deviation.  Deviates: root mean square, median and 95 % percentile are
-//! given besides.
+//! given besides, and distances to the surface between the points (`evaluate/surface.rs`).
 //! Absent on purpose: survey areas and tolerances, which the caller chooses.
+
+mod compare;
+mod surface;
+
+pub use compare::{CompareOptions, Comparison, Direction, compare};
+pub use surface::{DistanceMethod, surface_distances};
 
 use crate::cloud::Point;
 use crate::error::Result;
@@ -35,16 +41,17 @@ pub fn nearest_distances(
     to.distances_to(&to.places_to_ask(from), progress)
 }
 
-/// Distances summed up, in metres.
+/// Distances summed up, in metres. Of signed ones the mean and the median keep the sign; best, worst
+/// and the percentile are of what they amount to without it.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DistanceStatistics {
     /// How many distances.
     pub n_points: usize,
     /// Their mean ("Avg" in Table 7).
     pub mean_m: f64,
-    /// The smallest.
+    /// The smallest amount.
     pub best_m: f64,
-    /// The largest.
+    /// The largest amount.
     pub worst_m: f64,
     /// Standard deviation of the population (divided by n): `rms_m`² = `mean_m`² + `std_m`².
     pub std_m: f64,
@@ -52,7 +59,7 @@ pub struct DistanceStatistics {
     pub rms_m: f64,
     /// Half of the distances lie below it.
     pub median_m: f64,
-    /// 95 % of the distances lie below it.
+    /// 95 % of the amounts lie below it.
     pub percentile_95_m: f64,
 }
 
@@ -72,13 +79,14 @@ impl DistanceStatistics {
         let n = distances_m.len() as f64;
         let mean_m = sum_of(distances_m, |d| d) / n;
         let mut values = distances_m.to_vec();
-        let percentile_95_m = quantile(&mut values, 0.95);
         let median_m = quantile(&mut values, 0.5);
+        values.iter_mut().for_each(|d| *d = d.abs());
+        let percentile_95_m = quantile(&mut values, 0.95);
         Some(Self {
             n_points: distances_m.len(),
             mean_m,
-            best_m: distances_m.iter().copied().fold(f64::INFINITY, f64::min),
-            worst_m: distances_m.iter().copied().fold(0.0, f64::max),
+            best_m: values.iter().copied().fold(f64::INFINITY, f64::min),
+            worst_m: values.iter().copied().fold(0.0, f64::max),
             std_m: (sum_of(distances_m, |d| (d - mean_m) * (d - mean_m)) / n).sqrt(),
             rms_m: (sum_of(distances_m, |d| d * d) / n).sqrt(),
             median_m,
@@ -87,9 +95,11 @@ impl DistanceStatistics {
     }
 }
 
-/// The share, 0 to 1, of `distances_m` that do not exceed `tolerance_m`; 0 where there are none.
+/// The share, 0 to 1, of `distances_m` that do not exceed `tolerance_m` to either side; 0 where there
+/// are none.
 pub fn share_within(distances_m: &[f64], tolerance_m: f64) -> f64 {
-    let n_within = distances_m.iter().filter(|d| **d <= tolerance_m).count();
+    let is_within = |d: &&f64| d.abs() <= tolerance_m;
+    let n_within = distances_m.iter().filter(is_within).count();
     n_within as f64 / distances_m.len().max(1) as f64
 }
 
@@ -141,6 +151,16 @@ mod tests {
             wanted
         );
         assert_eq!(share_within(&[1.0, 2.0, 2.0, 7.0, 8.0], 2.0), 0.6);
+    }
+
+    #[test]
+    fn signed_distances_by_hand() {
+        let statistics = DistanceStatistics::from_distances(&[-4.0, 1.0, -2.0, 3.0]).unwrap();
+        assert_eq!((statistics.mean_m, statistics.median_m), (-0.5, -0.5));
+        assert_eq!((statistics.best_m, statistics.worst_m), (1.0, 4.0));
+        assert!((statistics.percentile_95_m - 3.85).abs() < 1e-15); // rank 2.85 of 1 2 3 4
+        assert_eq!(statistics.rms_m, 7.5_f64.sqrt());
+        assert_eq!(share_within(&[-4.0, 1.0, -2.0, 3.0], 2.0), 0.5);
     }
 
     #[test]

@@ -36,6 +36,7 @@ pub mod fitness;
 pub mod fuse;
 pub mod icp;
 pub mod keypoints;
+pub mod m3c2;
 pub mod outlier;
 pub mod running_voxels;
 pub mod verdict;

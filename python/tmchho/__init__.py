@@ -39,6 +39,7 @@ from tmchho.errors import (
     TmchhoError,
     WriteError,
 )
+from tmchho.evaluation import Area, AreaStatistics, Change, Evaluation, evaluate, m3c2, read_areas
 from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike
 from tmchho.io import read, write
@@ -46,9 +47,10 @@ from tmchho.moving import apply_transform, moved
 from tmchho.observations import ControlPoint, Observations, PosePrior, read_control_points
 from tmchho.optimize import minimize
 from tmchho.optimizer import MinimizeResult, Optimizer
-from tmchho.pipeline import evaluate, fuse, register
+from tmchho.pipeline import fuse, register
 from tmchho.progress import ProgressEvent
-from tmchho.results import Candidate, DistanceStatistics, Evaluation, Registration, StageRecord
+from tmchho.report import write_report, write_view
+from tmchho.results import Candidate, DistanceStatistics, Registration, StageRecord
 from tmchho.stages import (
     IcpResult,
     OutlierResult,
@@ -64,10 +66,13 @@ from tmchho.stages import (
 from tmchho.transform import Transform, read_transform
 
 __all__ = [
+    "Area",
+    "AreaStatistics",
     "BenchmarkFunction",
     "BenchmarkProblem",
     "BudgetError",
     "Candidate",
+    "Change",
     "CloudLike",
     "Config",
     "ControlPoint",
@@ -116,12 +121,14 @@ __all__ = [
     "iss_keypoints",
     "kabsch",
     "levy_steps",
+    "m3c2",
     "matrix_to_euler",
     "median_spacing",
     "minimize",
     "moved",
     "nearest_distances",
     "read",
+    "read_areas",
     "read_control_points",
     "read_transform",
     "register",
@@ -130,4 +137,6 @@ __all__ = [
     "simulate",
     "voxel_downsample",
     "write",
+    "write_report",
+    "write_view",
 ]

@@ -20,6 +20,7 @@ __all__ = [
     "chaotic_sequence",
     "complete_config",
     "default_config",
+    "distance_statistics",
     "distances_within",
     "estimate_normals",
     "euler_to_matrix",
@@ -30,6 +31,7 @@ __all__ = [
     "iss_keypoints",
     "kabsch",
     "levy_steps",
+    "m3c2",
     "matrix_to_euler",
     "median_spacing",
     "methods",
@@ -56,8 +58,12 @@ def register(
     progress: Callable[[str, int, int, float | None, bool], object] | None,
 ) -> dict[str, Any]: ...
 def evaluate(
-    source: _Floats, target: _Floats, transformation: _Floats, tolerance: float | None
+    source: _Floats, target: _Floats, transformation: _Floats, options_json: str
 ) -> dict[str, Any]: ...
+def m3c2(
+    source: _Floats, target: _Floats, transformation: _Floats, cores: _Floats | None, options_json: str
+) -> dict[str, Any]: ...
+def distance_statistics(distances: _Floats) -> dict[str, Any] | None: ...
 def fuse(source: _Floats, target: _Floats, transformation: _Floats, options_json: str) -> dict[str, Any]: ...
 def remove_outliers(array: _Floats, options_json: str) -> dict[str, Any]: ...
 def voxel_downsample(array: _Floats, voxel_size: float) -> dict[str, Any]: ...

@@ -42,9 +42,13 @@ if TYPE_CHECKING:
     from tmchho.results import Registration
 
 __all__ = [
+    "FIGURES",
     "FUSED",
     "OUTPUTS",
     "PDAL",
+    "REPORT",
+    "REPORT_PDF",
+    "REPORT_POINTS",
     "RESULT",
     "SOURCE_REGISTERED",
     "TRANSFORM",
@@ -71,7 +75,10 @@ TRANSFORM = "transform.txt"
 TRANSFORM_JSON = "transform.json"
 PDAL = "pdal.json"
 RESULT = "result.json"
-OUTPUTS = (FUSED, SOURCE_REGISTERED, TRANSFORM, TRANSFORM_JSON, PDAL, RESULT)
+REPORT_POINTS = "report_points.npz"
+OUTPUTS = (FUSED, SOURCE_REGISTERED, TRANSFORM, TRANSFORM_JSON, PDAL, RESULT, REPORT_POINTS)
+# Made of the two before, by `tmchho.report`.
+REPORT, REPORT_PDF, FIGURES = "report.html", "report.pdf", "figures"
 
 StrPath = str | os.PathLike[str]
 _CHUNK_BYTES = 1 << 20

@@ -1,4 +1,4 @@
-"""The three things that are done with two clouds: register them, measure them, fuse them."""
+"""What is done with two clouds: register them, fuse them; `tmchho.evaluation` measures them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from tmchho import _core
 from tmchho.arguments import checked_array, checked_choice, checked_number
 from tmchho.config import ConfigLike, DegreesOfFreedom, Mode, config_json, options_json
-from tmchho.errors import InvalidArgumentError
 from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike, naming, open_cloud
 from tmchho.observations import ControlPoint, Observations, PosePrior
 from tmchho.progress import ProgressCallback, listener
-from tmchho.results import DistanceStatistics, Evaluation, Registration
+from tmchho.results import Registration, pose_matrix
 
 
 def register(
@@ -127,63 +126,6 @@ def register(
     )
 
 
-def evaluate(
-    source: CloudLike,
-    target: CloudLike,
-    transformation: Registration | ArrayLike | None = None,
-    *,
-    tolerance: float | None = None,
-) -> Evaluation:
-    """Measure the distance from each point of one cloud to the nearest of the other, both ways.
-
-    Parameters
-    ----------
-    source, target : CloudLike
-        At least one finite point each; see `register`.
-    transformation : Registration or (4, 4) array_like, optional
-        Takes source to target coordinates; may contain a scale. Where not given, the clouds are measured as
-        they lie. All distances are in the unit of the target.
-    tolerance : float, optional
-        Also count the points whose distance does not exceed this.
-
-    Returns
-    -------
-    Evaluation
-
-    Raises
-    ------
-    ReadError, InvalidCloudError
-        If a path cannot be read, or a cloud has no finite point.
-    InvalidArgumentError
-        If the transformation is not rigid, apart from a scale, or the tolerance is negative.
-
-    Notes
-    -----
-    Ren, Zhao & Han (2023), Section 5.3, Table 7.
-
-    Examples
-    --------
-    >>> evaluate([[3.0, 4.0, 0.0]], [[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]]).target_to_source
-    array([5.        , 7.21110255])
-    """
-    matrix = _matrix(transformation)
-    if tolerance is not None and checked_number("tolerance", tolerance) < 0:
-        raise InvalidArgumentError(f"tolerance must be at least 0, got {tolerance}")
-    source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
-    with naming(source_cloud, target_cloud):
-        found = _core.evaluate(source_cloud.xyz, target_cloud.xyz, matrix, tolerance)
-    forth, forth_summary, forth_share = found["source_to_target"]
-    back, back_summary, back_share = found["target_to_source"]
-    return Evaluation(
-        source_to_target=forth,
-        target_to_source=back,
-        source_to_target_statistics=DistanceStatistics(**forth_summary),
-        target_to_source_statistics=DistanceStatistics(**back_summary),
-        share_within=None if tolerance is None else (forth_share, back_share),
-        tolerance=tolerance,
-    )
-
-
 def fuse(
     source: CloudLike,
     target: CloudLike,
@@ -231,7 +173,7 @@ def fuse(
     >>> fused.points[:, 0], fused.origin
     (array([0., 1., 2., 7.]), array([0, 0, 0, 1], dtype=uint8))
     """
-    matrix = _matrix(transformation)
+    matrix = pose_matrix(transformation)
     options: dict[str, Any] = {
         "mode": None if mode is None else checked_choice("mode", mode, ("merge", "dedup", "fill_holes")),
         "hole_radius_m": None if hole_radius is None else checked_number("hole_radius", hole_radius),
@@ -244,11 +186,3 @@ def fuse(
 
 def _corners(name: str, corners: ArrayLike | None) -> NDArray[np.float64] | None:
     return None if corners is None else checked_array(name, corners, (2, 3))
-
-
-def _matrix(transformation: Registration | ArrayLike | None) -> NDArray[np.float64]:
-    if transformation is None:
-        return np.eye(4)
-    if isinstance(transformation, Registration):
-        return transformation.transformation
-    return checked_array("transformation", transformation, (4, 4))

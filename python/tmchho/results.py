@@ -1,4 +1,4 @@
-"""What a registration and an evaluation leave: plain frozen data, for people and for JSON.
+"""What a registration leaves: plain frozen data, for people and for JSON.
 
 Lengths are in the unit of the clouds, angles in radians; a pose takes source coordinates to target
 coordinates. Arrays in here are read-only.
@@ -10,13 +10,17 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tmchho import _core
+from tmchho.arguments import checked_array
 from tmchho.inputs import CloudLike, open_points
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Verdict: TypeAlias = Literal["accepted", "review", "rejected"]
 
@@ -47,6 +51,11 @@ class DistanceStatistics:
         article's Table 7.
     rms, median, percentile_95 : float
         Root of the mean square; half and 95 % of the distances lie below the other two.
+
+    Notes
+    -----
+    Of signed distances, the mean and the median keep the sign; best, worst and the percentile are of the
+    absolute values.
     """
 
     n_points: int
@@ -57,6 +66,28 @@ class DistanceStatistics:
     rms: float
     median: float
     percentile_95: float
+
+    @classmethod
+    def of(cls, distances: ArrayLike) -> DistanceStatistics | None:
+        """Sum up distances, which may be signed.
+
+        Parameters
+        ----------
+        distances : (n,) array_like
+            Finite numbers.
+
+        Returns
+        -------
+        DistanceStatistics or None
+            None where there are none, or one is not finite.
+
+        Examples
+        --------
+        >>> DistanceStatistics.of([-4.0, 1.0, -2.0, 3.0]).worst
+        4.0
+        """
+        found = _core.distance_statistics(checked_array("distances", distances, (-1,)))
+        return None if found is None else cls(**found)
 
 
 @dataclass(frozen=True)
@@ -342,32 +373,41 @@ class Registration(ReadOnlyArrays):
         ]
         return "\n".join(lines)
 
+    def plot(self, source: CloudLike | None = None, target: CloudLike | None = None) -> Figure:
+        """Draw how the search went or, given the clouds, how they lay before and lie now.
 
-@dataclass(frozen=True, eq=False)
-class Evaluation(ReadOnlyArrays):
-    """How far two clouds lie apart.
+        Parameters
+        ----------
+        source, target : CloudLike, optional
+            The clouds that were registered.
 
-    Parameters
-    ----------
-    source_to_target : (n,) float64 array
-        Distance from each source point to the nearest target point, in the order of the rows given; NaN for
-        rows with a coordinate that is not finite.
-    target_to_source : (m,) float64 array
-        The other way round.
-    source_to_target_statistics, target_to_source_statistics : DistanceStatistics
-        Both summed up, over the finite points.
-    share_within : tuple of float, or None
-        Shares of the source and of the target points whose distance does not exceed `tolerance`.
-    tolerance : float or None
-        As asked for.
-    """
+        Returns
+        -------
+        matplotlib.figure.Figure
+            It shows itself in a notebook; ``figure.savefig(path)`` keeps it.
 
-    source_to_target: NDArray[np.float64]
-    target_to_source: NDArray[np.float64]
-    source_to_target_statistics: DistanceStatistics
-    target_to_source_statistics: DistanceStatistics
-    share_within: tuple[float, float] | None
-    tolerance: float | None
+        Raises
+        ------
+        InvalidArgumentError
+            If matplotlib or jinja2 is missing: ``pip install 'tmchho[report]'``.
+        """
+        from tmchho.report.notebook import plot_registration
+
+        return plot_registration(self, source, target)
+
+    def _repr_html_(self) -> str:
+        from tmchho.report.notebook import registration_html
+
+        return registration_html(self)
+
+
+def pose_matrix(transformation: Registration | ArrayLike | None) -> NDArray[np.float64]:
+    """Return the (4, 4) matrix of a pose in whatever form a caller has it; the identity where not given."""
+    if transformation is None:
+        return np.eye(4)
+    if isinstance(transformation, Registration):
+        return transformation.transformation
+    return checked_array("transformation", transformation, (4, 4))
 
 
 def plain(value: Any) -> Any:

@@ -376,9 +376,9 @@ def icp(
 
     Notes
     -----
-    Ren, Zhao & Han (2023), Section 4.5, Eq. (8); point-to-plane after Chen & Medioni (1992), on the normals of
-    the target; plane-to-plane after Segal, Haehnel & Thrun (2009), on the normals of both clouds; trimming
-    after Chetverikov et al. (2002), its share after Phillips, Liu & Tomasi (2007).
+    Ren, Zhao & Han (2023), Section 4.5, Eq. (8); point-to-plane after Chen & Medioni (1992), on the normals
+    of the target; plane-to-plane after Segal, Haehnel & Thrun (2009), on the normals of both clouds;
+    trimming after Chetverikov et al. (2002), its share after Phillips, Liu & Tomasi (2007).
     """
     methods = ("point_to_point", "point_to_plane", "plane_to_plane")
     kernels = ("least_squares", "tukey")

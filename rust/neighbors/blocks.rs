@@ -6,6 +6,8 @@
 //! Source: Wald, Benthin & Boulos (2008), trees of many branches searched by packets; Friedman,
 //! Bentley & Finkel (1977), whose median splits (`sort.rs`) make the blocks. Deviates: nowhere.
 
+mod region;
+
 use super::sort::Entry;
 use crate::cloud::{Point, distance_sq};
 use crate::parallel;

@@ -7,6 +7,7 @@
 
 mod arrays;
 mod config;
+mod distances;
 mod errors;
 mod optim;
 mod registration;
@@ -23,7 +24,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(config::default_config, module)?)?;
     module.add_function(wrap_pyfunction!(config::complete_config, module)?)?;
     module.add_function(wrap_pyfunction!(registration::register, module)?)?;
-    module.add_function(wrap_pyfunction!(registration::evaluate, module)?)?;
+    module.add_function(wrap_pyfunction!(distances::evaluate, module)?)?;
+    module.add_function(wrap_pyfunction!(distances::m3c2, module)?)?;
     module.add_function(wrap_pyfunction!(registration::fuse, module)?)?;
     module.add_function(wrap_pyfunction!(stages::remove_outliers, module)?)?;
     module.add_function(wrap_pyfunction!(stages::voxel_downsample, module)?)?;
@@ -36,6 +38,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(stages::median_spacing, module)?)?;
     module.add_function(wrap_pyfunction!(stages::euler_to_matrix, module)?)?;
     module.add_function(wrap_pyfunction!(stages::matrix_to_euler, module)?)?;
+    module.add_function(wrap_pyfunction!(distances::distance_statistics, module)?)?;
     module.add_function(wrap_pyfunction!(optim::minimize, module)?)?;
     module.add_function(wrap_pyfunction!(optim::benchmark_functions, module)?)?;
     module.add_function(wrap_pyfunction!(optim::methods, module)?)?;

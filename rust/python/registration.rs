@@ -1,16 +1,14 @@
-//! The route, the distances at a pose, and fusion.
+//! The route, and fusion.
 
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
-use super::arrays::{
-    ReadArray, dict, for_given_rows, from_points, from_pose, from_rows, from_vec, points, pose,
-};
+use super::arrays::{ReadArray, dict, from_points, from_pose, from_rows, from_vec, points, pose};
 use super::config::{options, word};
 use super::errors::as_argument;
 use super::run::{briefly, with_progress};
 use crate::config::Config;
-use crate::evaluate::{DistanceStatistics, share_within};
+use crate::evaluate::DistanceStatistics;
 use crate::pipeline;
 use crate::registration::Registration;
 
@@ -94,7 +92,7 @@ fn registration(py: Python<'_>, found: Registration) -> PyResult<Bound<'_, PyDic
     })
 }
 
-fn statistics<'py>(
+pub(super) fn statistics<'py>(
     py: Python<'py>,
     statistics: &DistanceStatistics,
 ) -> PyResult<Bound<'py, PyDict>> {
@@ -107,47 +105,6 @@ fn statistics<'py>(
         "rms": statistics.rms_m,
         "median": statistics.median_m,
         "percentile_95": statistics.percentile_95_m,
-    })
-}
-
-/// Distances between two clouds at a pose, one for each row given.
-#[pyfunction]
-pub(super) fn evaluate<'py>(
-    py: Python<'py>,
-    source: ReadArray<'py>,
-    target: ReadArray<'py>,
-    transformation: ReadArray<'py>,
-    tolerance: Option<f64>,
-) -> PyResult<Bound<'py, PyDict>> {
-    let (source, target) = (points(&source)?, points(&target)?);
-    let target_from_source = briefly(|| pose(&transformation))?;
-    let directions = with_progress(py, None, |progress| {
-        let found = pipeline::evaluate(source, target, target_from_source, progress)?;
-        let directions = [
-            (source, found.source_to_target_m),
-            (target, found.target_to_source_m),
-        ];
-        let mut summed_up = Vec::new();
-        for (given, distances_m) in directions {
-            let statistics = DistanceStatistics::from_distances(&distances_m);
-            let share = tolerance.map(|tolerance| share_within(&distances_m, tolerance));
-            let rows = for_given_rows(given, distances_m, f64::NAN);
-            summed_up.push((rows, statistics, share));
-        }
-        Ok(summed_up)
-    })?;
-    briefly(|| {
-        let result = PyDict::new(py);
-        for (name, (rows, summary, share)) in ["source_to_target", "target_to_source"]
-            .iter()
-            .zip(directions)
-        {
-            let summary = summary
-                .map(|summary| statistics(py, &summary))
-                .transpose()?;
-            result.set_item(name, (from_vec(py, rows), summary, share))?;
-        }
-        Ok(result)
     })
 }
 

@@ -343,7 +343,7 @@ def test_the_command_works_in_parts_by_itself(
     documents = [json.loads(result.stdout) for result in (whole, parts)]
     assert "in_parts" not in documents[0]
     assert documents[1]["in_parts"]["max_memory"] == 300_000_000
-    # Areas are summed up in memory only.
+    # Figures by area need both clouds as wholes.
     assert set(documents[0]) - {"areas", "distances"} < set(documents[1])
     assert set(documents[0]["fused"]) == set(documents[1]["fused"])
     for name in ("fused.laz", "source_registered.laz"):

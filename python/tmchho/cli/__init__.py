@@ -14,6 +14,8 @@ from tmchho.cli.failures import EXIT_CODES, Commands
 from tmchho.cli.info import info
 from tmchho.cli.paper import paper
 from tmchho.cli.register import register
+from tmchho.cli.report import report
+from tmchho.cli.view import view
 
 
 def _print_version(context: click.Context, _option: click.Parameter, wanted: bool) -> None:
@@ -40,7 +42,7 @@ def main() -> None:
     """
 
 
-for _command in (register, evaluate, apply, info, demo, config, paper):
+for _command in (register, evaluate, apply, info, demo, config, paper, report, view):
     main.add_command(_command)
 
 __all__ = ["main"]

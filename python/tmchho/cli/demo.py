@@ -9,7 +9,7 @@ import click
 
 from tmchho.cli.display import Display, display
 from tmchho.cli.failures import NOT_ACCEPTED, debug_option
-from tmchho.cli.options import json_option, output_option, overwrite_option, quiet_option
+from tmchho.cli.options import json_option, output_option, overwrite_option, quiet_option, report_option
 from tmchho.cli.register import replay_command
 
 if TYPE_CHECKING:
@@ -36,11 +36,14 @@ _SCANNER_SHARE = 320 / 420
     show_default=True,
     help="Points of the photogrammetry; the scanner has three quarters as many.",
 )
+@report_option
 @json_option
 @quiet_option
 @overwrite_option
 @debug_option
-def demo(output: Path, seed: int, points: int, as_json: bool, quiet: bool, overwrite: bool) -> None:
+def demo(
+    output: Path, seed: int, points: int, report: bool, as_json: bool, quiet: bool, overwrite: bool
+) -> None:
     """Simulate a dam site, survey it by drone and by scanner, register the two and compare with the truth.
 
     The drone's cloud is turned and shifted at random. uav.laz and tls.laz are written into the folder, and
@@ -51,14 +54,14 @@ def demo(output: Path, seed: int, points: int, as_json: bool, quiet: bool, overw
     """
     from tmchho import Config
     from tmchho.cli.workflow import Job, run
-    from tmchho.outputs import OUTPUTS, check_folder, json_text
+    from tmchho.outputs import OUTPUTS, REPORT, check_folder, json_text
 
-    check_folder(output, names=(UAV, TLS, *OUTPUTS), overwrite=overwrite)
+    check_folder(output, names=(UAV, TLS, *OUTPUTS, REPORT), overwrite=overwrite)
     with display(quiet) as shown:
         truth = _simulate(output, seed, points, overwrite, shown)
         source, target = output / UAV, output / TLS
         command = replay_command(source, target, {"--seed": seed})
-        job = Job(source, target, output, Config(seed=seed), command, overwrite)
+        job = Job(source, target, output, Config(seed=seed), command, overwrite, has_report=report)
         outcome = run(job, shown, lambda cloud, found: {"truth": compare(cloud, found, truth)})
         seconds = shown.seconds
     if as_json:

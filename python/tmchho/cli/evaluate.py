@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,12 +10,30 @@ import click
 
 from tmchho.cli.display import display
 from tmchho.cli.failures import debug_option
-from tmchho.cli.options import PATH, json_option, positive, quiet_option
+from tmchho.cli.options import (
+    PATH,
+    areas_option,
+    boxes,
+    json_option,
+    output_option,
+    overwrite_option,
+    positive,
+    quiet_option,
+    tolerance_option,
+)
 
 if TYPE_CHECKING:
-    from tmchho import Evaluation
+    from tmchho import Change, Evaluation, PointCloud
 
-# Heading, and what it is called in DistanceStatistics; the first four as in the article's Table 7.
+_EXAMPLES = """\b
+Examples:
+  tmchho evaluate uav.laz tls.laz --transform out/result.json --areas areas.geojson --tolerance 0.05 -o check
+  # what changed between two epochs, and what of it is more than noise
+  tmchho evaluate june.laz may.laz --method m3c2 --registration-error 0.004 -o change
+
+"""
+
+# Heading, and what it is called in a row of the result; the first four as in the article's Table 7.
 _COLUMNS = {
     "Avg": "mean",
     "Best": "best",
@@ -24,11 +43,13 @@ _COLUMNS = {
     "Median": "median",
     "95 %": "percentile_95",
 }
+_FORMS = ("laz", "csv", "coloured-laz", "coloured-ply")
 
 
-@click.command(short_help="Measure how far two clouds lie apart.")
+@click.command(short_help="Measure how far two clouds lie apart.", epilog=_EXAMPLES)
 @click.argument("source", type=PATH)
 @click.argument("target", type=PATH)
+@output_option()
 @click.option(
     "--transform",
     type=PATH,
@@ -36,69 +57,223 @@ _COLUMNS = {
     help="transform.txt or result.json that takes SOURCE to TARGET.  [default: as they lie]",
 )
 @click.option(
-    "--tolerance",
+    "--method",
+    type=click.Choice(["nearest", "plane", "normal", "vertical", "m3c2"]),
+    default="nearest",
+    help="To the nearest point (default), to a plane through the points there, signed along its normal or "
+    "along z, or M3C2: change along the normal with its level of detection.",
+)
+@areas_option
+@click.option(
+    "--area-box",
+    "area_boxes",
+    multiple=True,
+    callback=boxes,
+    metavar="BOX",
+    help="[NAME=]xmin,ymin,xmax,ymax, or with heights xmin,ymin,zmin,xmax,ymax,zmax: one more area. Can be "
+    "repeated.",
+)
+@tolerance_option
+@click.option(
+    "--max-distance",
     type=float,
     callback=positive,
     metavar="LENGTH",
-    help="Also tell the share of points that lie within this distance.",
+    help="Points farther away have no counterpart and are counted apart.  [default: all are measured]",
+)
+@click.option(
+    "--registration-error",
+    type=click.FloatRange(min=0),
+    metavar="LENGTH",
+    help="M3C2: what the pose may be wrong by, 1 sigma.  [default: that of --transform result.json]",
+)
+@click.option(
+    "--cylinder-radius",
+    type=float,
+    callback=positive,
+    metavar="LENGTH",
+    help="M3C2: where points are averaged.  [default: 20 points of the sparser cloud]",
+)
+@click.option(
+    "--normal-radius",
+    type=float,
+    multiple=True,
+    metavar="LENGTH",
+    help="M3C2: where normals are sought; repeated, the flattest is taken.  [default: from the roughness]",
+)
+@click.option(
+    "--max-depth",
+    type=float,
+    callback=positive,
+    metavar="LENGTH",
+    help="M3C2: how far cylinders reach to either side.  [default: ten radii]",
+)
+@click.option(
+    "--form",
+    "forms",
+    type=click.Choice(_FORMS),
+    multiple=True,
+    default=_FORMS[:3],
+    help="Forms in which clouds are written. Can be repeated.  [default: laz, csv, coloured-laz]",
 )
 @json_option
 @quiet_option
+@overwrite_option
 @debug_option
 def evaluate(
-    source: Path, target: Path, transform: Path | None, tolerance: float | None, as_json: bool, quiet: bool
+    source: Path,
+    target: Path,
+    output: Path | None,
+    transform: Path | None,
+    as_json: bool,
+    quiet: bool,
+    overwrite: bool,
+    **options: Any,
 ) -> None:
-    """Measure the distances from each point of SOURCE to the nearest of TARGET, and the other way round.
+    """Measure the distances from each point of SOURCE to TARGET, and the other way round.
 
     The distances are in the unit of the clouds. Where the clouds overlap only in part, the largest ones tell
-    of the overlap, not of the fit.
-    """
-    from tmchho import evaluate as measure
-    from tmchho import read
-    from tmchho.outputs import json_text, read_matrix
+    of the overlap, not of the fit: see --max-distance.
 
-    matrix = None if transform is None else read_matrix(transform)
+    \b
+    Writes into the folder given with -o:
+      source_to_target.laz/.csv   SOURCE in the frame of TARGET, with a distance for each point
+      target_to_source.laz/.csv   TARGET with its distances
+      *_coloured.laz, legend.csv  the same in colours, and what they mean
+      areas.csv                   the figures by area, as the article's Table 7
+      evaluation.json             all figures and settings
+
+    With --method m3c2, change.* holds the cores in place of the clouds.
+    """  # noqa: D301 (\b is for click: keep these lines as they are)
+    import numpy as np
+
+    from tmchho import read
+    from tmchho.evaluation.files import write_evaluation
+    from tmchho.outputs import check_folder, json_text, read_matrix
+
+    matrix = np.eye(4) if transform is None else read_matrix(transform)
+    if output is not None:
+        check_folder(output, names=(), overwrite=overwrite, inputs=(source, target))
     with display(quiet) as shown:
         with shown.step("read", f"reading {source}"):
             source_cloud = read(source)
         with shown.step("read", f"reading {target}"):
             target_cloud = read(target)
-        with shown.step("evaluate", "measuring distances"):
-            result = measure(source_cloud, target_cloud, matrix, tolerance=tolerance)
-    rows = _rows(result)
+        with shown.step("evaluate", "measuring"):
+            result = _measure(source_cloud, target_cloud, matrix, transform, options)
+        for warning in result.warnings:
+            shown.warn(warning)
+        document = {
+            "source": source.name,
+            "target": target.name,
+            "transformation": matrix.tolist(),
+            **result.to_dict(),
+        }
+        written: tuple[Path, ...] = ()
+        if output is not None:
+            with shown.step("write", "writing"):
+                written = write_evaluation(
+                    output,
+                    result,
+                    source_cloud,
+                    target_cloud,
+                    matrix,
+                    document,
+                    forms=options["forms"],
+                    overwrite=overwrite,
+                    inputs=(source, target),
+                )
     if as_json:
-        document = {"source": source.name, "target": target.name, "tolerance": tolerance, **rows}
         click.echo(json_text(document), nl=False)
     else:
-        click.echo(_table(rows, tolerance))
+        click.echo("\n\n".join([*_tables(document), *_written(written)]))
 
 
-def _rows(result: Evaluation) -> dict[str, dict[str, Any]]:
-    shares = result.share_within or (None, None)
-    both = {
-        "source_to_target": (result.source_to_target_statistics, shares[0]),
-        "target_to_source": (result.target_to_source_statistics, shares[1]),
-    }
-    return {
-        direction: {
-            "n_points": statistics.n_points,
-            **{name: getattr(statistics, name) for name in _COLUMNS.values()},
-            "share_within": share,
-        }
-        for direction, (statistics, share) in both.items()
-    }
+def _measure(
+    source: PointCloud,
+    target: PointCloud,
+    matrix: Any,
+    transform: Path | None,
+    options: Mapping[str, Any],
+) -> Evaluation | Change:
+    from tmchho import evaluate, m3c2
+    from tmchho.evaluation import read_areas
+
+    areas: Any = list(options["area_boxes"])
+    if options["areas"] is not None:
+        areas = [*read_areas(options["areas"], target.crs), *areas]
+    areas = areas or "automatic"
+    if options["method"] != "m3c2":
+        return evaluate(
+            source,
+            target,
+            matrix,
+            method=options["method"],
+            tolerance=options["tolerance"],
+            max_distance=options["max_distance"],
+            areas=areas,
+        )
+    error = options["registration_error"]
+    return m3c2(
+        source,
+        target,
+        matrix,
+        normal_radii=options["normal_radius"] or None,
+        cylinder_radius=options["cylinder_radius"],
+        max_depth=options["max_depth"],
+        registration_error=_recorded_error(transform) if error is None else error,
+        tolerance=options["tolerance"],
+        areas=areas,
+    )
 
 
-def _table(rows: dict[str, dict[str, Any]], tolerance: float | None) -> str:
-    headings = ["", "points", *_COLUMNS] + ([] if tolerance is None else [f"within {tolerance:g}"])
-    lines = [headings]
-    for direction, row in rows.items():
-        cells = [direction.replace("_", " "), f"{row['n_points']:,}"]
-        cells += [f"{row[name]:.5g}" for name in _COLUMNS.values()]
-        cells += [] if tolerance is None else [f"{100 * row['share_within']:.1f} %"]
+def _recorded_error(transform: Path | None) -> float | None:
+    """Return the error of the registration that a result.json records, None where there is none."""
+    import json
+
+    if transform is None:
+        return None
+    text = transform.read_text(encoding="utf-8-sig")
+    error = json.loads(text).get("registration_error") if text.lstrip().startswith("{") else None
+    return None if error is None else float(error)
+
+
+def _tables(document: Mapping[str, Any]) -> list[str]:
+    directions = [name for name in ("source_to_target", "target_to_source") if name in document]
+    whole = [(name.replace("_", " "), document[name]) for name in directions]
+    significant = [] if document["method"] != "m3c2" else [("significant", "share_significant")]
+    tables = [_table("", whole, None if significant else document["tolerance"], significant)]
+    if document["areas"]:
+        covered = [("target covers", "completeness_before"), ("both cover", "completeness_after")]
+        rows = [(row["name"], row) for row in document["areas"]]
+        heading = "target to source" if significant else "source to target"
+        tables.append(_table(heading, rows, document["tolerance"], [*significant, *covered]))
+    return tables
+
+
+def _table(
+    heading: str,
+    rows: Sequence[tuple[str, Mapping[str, Any]]],
+    tolerance: float | None,
+    shares: Sequence[tuple[str, str]],
+) -> str:
+    """Return rows under headings; `shares` are further columns in percent."""
+    shares = [*([] if tolerance is None else [(f"within {tolerance:g}", "share_within")]), *shares]
+    beyond = any(row["n_beyond"] for _, row in rows)
+    lines = [[heading, "points", *(["beyond"] if beyond else []), *_COLUMNS, *(title for title, _ in shares)]]
+    for name, row in rows:
+        cells = [name, f"{row['n_points']:,}", *([f"{row['n_beyond']:,}"] if beyond else [])]
+        lengths = [row.get(key) for key in _COLUMNS.values()]
+        cells += ["no data" if value is None else f"{value:.5g}" for value in lengths]
+        percents = [row.get(key) for _, key in shares]
+        cells += ["no data" if value is None else f"{100 * value:.1f} %" for value in percents]
         lines.append(cells)
-    widths = [max(len(cells[column]) for cells in lines) for column in range(len(headings))]
+    widths = [max(len(cells[column]) for cells in lines) for column in range(len(lines[0]))]
     return "\n".join(
         "  ".join([cells[0].ljust(widths[0]), *map(str.rjust, cells[1:], widths[1:])]).rstrip()
         for cells in lines
     )
+
+
+def _written(files: Sequence[Path]) -> list[str]:
+    return ["\n".join(["written:", *(f"  {path}" for path in files)])] if files else []

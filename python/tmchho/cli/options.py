@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+if TYPE_CHECKING:
+    from tmchho import Area
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -17,6 +20,9 @@ PATH = click.Path(path_type=Path)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 quiet_option = click.option(
     "-q", "--quiet", is_flag=True, help="No progress and no notes, only warnings and errors."
+)
+report_option = click.option(
+    "--report/--no-report", default=True, help="Make report.html.  [default: report]"
 )
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run.")
 
@@ -88,3 +94,41 @@ def positive(_context: click.Context, _option: click.Parameter, value: float | N
     if value is not None and not (math.isfinite(value) and value > 0):
         raise click.BadParameter(f"must be a number above 0, got {value:g}")
     return value
+
+
+areas_option = click.option(
+    "--areas",
+    type=PATH,
+    metavar="FILE",
+    help="Polygons by which distances are summed up: GeoJSON, WKT, or what pyogrio reads (shapefile, …).  "
+    "[default: five strips along the overlap]",
+)
+tolerance_option = click.option(
+    "--tolerance",
+    type=float,
+    callback=positive,
+    metavar="LENGTH",
+    help="Also tell the share of points whose distance does not exceed this.",
+)
+
+
+def boxes(_context: click.Context, _option: click.Parameter, values: tuple[str, ...]) -> tuple[Area, ...]:
+    """Read an option whose values are areas: an optional name, then four numbers, or six with heights."""
+    from tmchho.evaluation import Area
+
+    areas = []
+    for number, value in enumerate(values, start=1):
+        name, _, text = value.rpartition("=")
+        try:
+            numbers = tuple(float(word) for word in text.split(","))
+        except ValueError:
+            numbers = ()
+        half = len(numbers) // 2
+        if len(numbers) not in (4, 6) or not all(map(math.isfinite, numbers)):
+            raise click.BadParameter(f"must be four or six numbers with commas between them, got {value!r}")
+        low, high = numbers[:half], numbers[half:]
+        if not all(least < most for least, most in zip(low, high, strict=True)):
+            raise click.BadParameter(f"each minimum must lie below its maximum, got {value}")
+        heights = None if half == 2 else (low[2], high[2])
+        areas.append(Area.box(name or f"box {number}", low[0], low[1], high[0], high[1], heights))
+    return tuple(areas)

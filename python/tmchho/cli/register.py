@@ -16,6 +16,7 @@ from tmchho.cli.failures import EXIT_CODES, NOT_ACCEPTED, debug_option
 from tmchho.cli.options import (
     PATH,
     area,
+    areas_option,
     classes,
     json_option,
     memory,
@@ -23,6 +24,8 @@ from tmchho.cli.options import (
     overwrite_option,
     positive,
     quiet_option,
+    report_option,
+    tolerance_option,
 )
 
 if TYPE_CHECKING:
@@ -61,6 +64,8 @@ _REPLAYED = (
     "max_seconds",
     "voxel_size",
     "fuse",
+    "areas",
+    "tolerance",
 )
 
 
@@ -166,6 +171,9 @@ _REPLAYED = (
     help="Take all points of the source (merge, default), all but those that repeat the target (dedup), or "
     "only those that fill holes of the target.",
 )
+@areas_option
+@tolerance_option
+@report_option
 @json_option
 @quiet_option
 @overwrite_option
@@ -183,8 +191,10 @@ def register(
       transform.json         the same in every form, also about pivots; for `tmchho apply`
       pdal.json              a PDAL pipeline that moves SOURCE
       result.json            verdict, figures, settings and checksums
+      report.html            the same for people, with pictures and a 3D view
+      report_points.npz      the points that the report shows
 
-    Where the pose is rejected, only result.json is written.
+    Where the pose is rejected, only the last three are written.
     """  # noqa: D301 (\b is for click: keep these lines as they are)
     from tmchho.cli.workflow import Job, run
 
@@ -206,6 +216,9 @@ def register(
             _selection(options["crop"] or options[name], options["keep_class"])
             for name in ("crop_source", "crop_target")
         ),
+        areas=options["areas"],
+        tolerance=options["tolerance"],
+        has_report=options["report"],
     )
     with display(quiet) as shown:
         outcome = run(job, shown)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tmchho.cli.crs import crs_name
 from tmchho.cli.display import Display
 from tmchho.cli.workflow import Job, Outcome, check_crs, remove_others
 from tmchho.errors import BudgetError, WriteError
 
 if TYPE_CHECKING:
+    from tmchho import Registration
     from tmchho.io.las_stream import LasPoints
     from tmchho.selection import Selection
     from tmchho.streams.thin import Keep
@@ -26,9 +28,11 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
     TmchhoError
         As its class says; no file was written then.
     """
+    from tmchho import PointCloud
     from tmchho.io import is_las, open_las
     from tmchho.outputs import (
         FUSED,
+        REPORT_POINTS,
         RESULT,
         SOURCE_REGISTERED,
         InputFile,
@@ -38,6 +42,9 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         staging,
         write_together,
     )
+    from tmchho.report.described import describe_parts
+    from tmchho.report.fused_points import points_of_fused_file
+    from tmchho.report.points import points_of
     from tmchho.streams import fuse_files, register_files
     from tmchho.transform import Transform
 
@@ -79,19 +86,24 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             progress=shown.on_event,
         )
     registration = found.registration
-    document_of: Callable[..., dict[str, Any]] = lambda of, fused: result_document(  # noqa: E731
-        of, *files, fused, job.command
-    )
+
+    def document_of(of: Registration, fused: Mapping[str, Any] | None) -> dict[str, Any]:
+        document = result_document(of, *files, fused, job.command)
+        for side, file in (("source", source), ("target", target)):
+            told = describe_parts(file, crs_name(file.crs))
+            document["inputs"][side] = {**document["inputs"][side], **told}
+        return document
+
     if registration.verdict == "rejected":
         document = document_of(registration, None)
         text = json_text(document)
-        write_together(
-            job.folder,
-            {RESULT: lambda path: path.write_text(text, encoding="utf-8", newline="\n")},
-            overwrite=job.overwrite,
-            inputs=paths,
-        )
-        return Outcome(registration, document, remove_others(job.folder, [RESULT]))
+        thinned = PointCloud(found.source.points), PointCloud(found.target.points)
+        rejected: dict[str, Callable[[Path], object]] = {
+            RESULT: lambda path: path.write_text(text, encoding="utf-8", newline="\n"),
+            REPORT_POINTS: points_of(registration, *thinned, None).save,
+        }
+        write_together(job.folder, rejected, overwrite=job.overwrite, inputs=paths)
+        return Outcome(registration, document, remove_others(job.folder, rejected))
     options = registration.config["fuse"]
     with staging(job.folder) as scratch:
         with shown.step("fuse", "measuring and fusing in tiles"):
@@ -126,8 +138,10 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             "seconds": found.seconds | fusion.seconds,
         }
         text = json_text(document)
+        shown_points = points_of_fused_file(scratch / FUSED, registration.seed, registration.voxel_size)
         outputs: dict[str, Callable[[Path], object]] = {
             RESULT: lambda path: path.write_text(text, encoding="utf-8", newline="\n"),
+            REPORT_POINTS: shown_points.save,
             **pose_files(registration, str(job.source), source.crs, target.crs, target.header.scales),
             SOURCE_REGISTERED: lambda path: os.replace(scratch / SOURCE_REGISTERED, path),
             FUSED: lambda path: os.replace(scratch / FUSED, path),

@@ -43,6 +43,12 @@ class Job:
         Go on where the coordinate reference systems differ.
     selections : (Selection, Selection), optional
         Which points of source and target take part in finding the pose.
+    areas : Path, optional
+        Polygons by which distances are summed up; five strips along the overlap where not given.
+    tolerance : float, optional
+        Distance within which points are counted.
+    has_report : bool
+        Also make ``report.html``.
     """
 
     source: Path
@@ -54,6 +60,9 @@ class Job:
     max_memory: int | None = None
     assume_same_crs: bool = False
     selections: tuple[Selection, ...] = ()
+    areas: Path | None = None
+    tolerance: float | None = None
+    has_report: bool = True
 
 
 @dataclass(frozen=True)
@@ -92,23 +101,26 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
     TmchhoError
         As its class says; no file was written then.
     """
-    from tmchho import fuse
-    from tmchho.outputs import InputFile, check_folder, fused_counts, result_document
+    from tmchho import fuse, read_areas
+    from tmchho.evaluation import distance_entries
+    from tmchho.outputs import OUTPUTS, REPORT, InputFile, check_folder, fused_counts, result_document
+    from tmchho.report.described import describe
     from tmchho.streams import default_max_memory, needs_streams
 
     paths = (job.source, job.target)
-    check_folder(job.folder, overwrite=job.overwrite, inputs=paths)
+    check_folder(job.folder, names=(*OUTPUTS, REPORT), overwrite=job.overwrite, inputs=paths)
     allowed = default_max_memory() if job.max_memory is None else job.max_memory
     if remarks is None and needs_streams(paths, allowed):
         from tmchho.cli.streamed import run_streamed
 
-        return run_streamed(job, shown, allowed)
+        return _reported(run_streamed(job, shown, allowed), job, shown)
     source, target = (_read(path, shown) for path in paths)
     check_crs(
         *((cloud.name, cloud.crs, *_box(cloud)) for cloud in (source, target)),
         assume_same=job.assume_same_crs,
         shown=shown,
     )
+    areas = None if job.areas is None else read_areas(job.areas, target.crs)
     with shown.step("read", "taking checksums"):
         files = (InputFile.of(job.source, len(source)), InputFile.of(job.target, len(target)))
     with shown.step("register"):
@@ -125,11 +137,16 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
             )
             counts = fused_counts(fused, source, target, options["mode"])
     document = result_document(registration, *files, counts, job.command)
+    for side, cloud in (("source", source), ("target", target)):
+        document["inputs"][side] = {**document["inputs"][side], **describe(cloud, crs_name(cloud.crs))}
+    if fused is not None:
+        with shown.step("evaluate", "summing up by area"):
+            document |= distance_entries(registration, source, target, fused, areas, job.tolerance)
     if remarks is not None:
         document |= remarks(source, registration)
     with shown.step("write", "writing"):
         written = _write(job, registration, source, target, fused, document)
-    return Outcome(registration, document, written)
+    return _reported(Outcome(registration, document, written), job, shown)
 
 
 def _read(path: Path, shown: Display) -> PointCloud:
@@ -242,6 +259,7 @@ def _write(
     from tmchho.moving import turned
     from tmchho.outputs import (
         FUSED,
+        REPORT_POINTS,
         RESULT,
         SOURCE_REGISTERED,
         json_text,
@@ -249,10 +267,13 @@ def _write(
         pose_files,
         write_together,
     )
+    from tmchho.report.points import points_of
     from tmchho.transform import Transform
 
     # Listed first, result.json appears last: where it is, the others are.
     files = {RESULT: lambda path: path.write_text(json_text(document), encoding="utf-8", newline="\n")}
+    points = points_of(registration, source, target, fused)
+    files[REPORT_POINTS] = points.save
     if fused is not None:
         merged = fused.to_point_cloud(turned(source, Transform.of(registration)), target)
         moved = moved_source(registration, source, target)
@@ -270,8 +291,22 @@ def remove_others(folder: Path, names: Iterable[str]) -> tuple[Path, ...]:
 
     Returns the paths of those that were.
     """
-    from tmchho.outputs import OUTPUTS
+    from tmchho.outputs import OUTPUTS, REPORT, REPORT_PDF
 
-    for name in set(OUTPUTS) - set(names):
+    for name in {*OUTPUTS, REPORT, REPORT_PDF} - set(names):
         (folder / name).unlink(missing_ok=True)
     return tuple(folder / name for name in OUTPUTS if name in names)
+
+
+def _reported(outcome: Outcome, job: Job, shown: Display) -> Outcome:
+    """Make the report from what was just written; without the libraries for it, say so and go on."""
+    from tmchho.report import missing_extras, write_report
+
+    if not job.has_report:
+        return outcome
+    missing = missing_extras()
+    if missing is not None:
+        shown.note(f"{job.folder / 'report.html'} was not made: {missing}")
+        return outcome
+    with shown.step("report", "making the report"):
+        return replace(outcome, files=(*outcome.files, *write_report(job.folder)))

@@ -2,9 +2,11 @@
 
 `make_site` shapes the scene, `survey_scanner` and `survey_photogrammetry` survey it, and `make_pair`
 does all of this and moves one of the clouds by a known pose: a test of registration in which the
-truth is known. Everything follows from the arguments and a seed.
+truth is known. `lower_ground` and `move_machine` change a site between two surveys. Everything follows
+from the arguments and a seed.
 """
 
+from tmchho.simulate.change import lower_ground, move_machine
 from tmchho.simulate.ground import Area, Ground
 from tmchho.simulate.materials import Material
 from tmchho.simulate.pair import SimulatedPair, make_pair, random_pose
@@ -21,8 +23,10 @@ __all__ = [
     "SimulatedPair",
     "Site",
     "Solid",
+    "lower_ground",
     "make_pair",
     "make_site",
+    "move_machine",
     "place_stations",
     "random_pose",
     "survey_photogrammetry",

@@ -12,8 +12,14 @@ from tmchho.cli import main
 
 
 def run(*arguments: object) -> Result:
-    """Run a command within this process; it must end by an exit code, not by an exception."""
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    """Run a command within this process; it must end by an exit code, not by an exception.
+
+    No report is made, which has tests of its own and would take most of the time here.
+    """
+    words = [str(argument) for argument in arguments]
+    if words[:1] in (["register"], ["demo"]) and "--help" not in words:
+        words.append("--no-report")
+    result = CliRunner().invoke(main, words)
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
     return result
 

@@ -14,7 +14,7 @@ import pytest
 from cli_tools import names_in
 
 import tmchho
-from tmchho.outputs import OUTPUTS
+from tmchho.outputs import OUTPUTS, REPORT
 
 PACKAGE = Path(tmchho.__file__).resolve().parents[1]
 # Long enough for a slow machine; nothing here depends on speed.
@@ -82,7 +82,7 @@ def test_the_result_goes_to_stdout_and_the_rest_to_stderr(files: tuple[Path, Pat
     lines = done.stderr.splitlines()
     assert all(line.startswith("tmchho: ") for line in lines)
     assert any("searching for the pose" in line for line in lines)
-    assert names_in(tmp_path / "out") == sorted(OUTPUTS)
+    assert names_in(tmp_path / "out") == sorted([*OUTPUTS, REPORT])
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_a_rejected_pose_leaves_only_the_reasons(strangers: tuple[Path, Path], t
     assert document["verdict"] == "rejected"
     assert document["reasons"]
     assert document["fused"] is None
-    assert names_in(folder) == ["notes.txt", "result.json"]
+    assert names_in(folder) == ["notes.txt", "report_points.npz", "result.json"]
     assert "must not be used" in result.stdout
 
 
