@@ -16,6 +16,7 @@ from tmchho.errors import WriteError
 from tmchho.io import atomic_path, is_las, known_extensions, las_parts, open_las, read, write, writing_las
 from tmchho.io.las_grid import Grid, fitted_grid
 from tmchho.io.las_stream import LasPoints, las_copy
+from tmchho.io.scans import moved_scans
 from tmchho.results import Registration
 from tmchho.transform import Transform
 
@@ -28,7 +29,9 @@ _NORMALS = ("nx", "ny", "nz")
 def moved(
     cloud: PointCloud, transform: Registration | Transform | ArrayLike, *, crs: str | None = None
 ) -> PointCloud:
-    """Return a cloud in target coordinates, with every attribute it had; normals are turned along.
+    """Return a cloud in target coordinates, with every attribute it had.
+
+    Normals are turned along, and the stations of a laser scan move with their points.
 
     Parameters
     ----------
@@ -45,7 +48,8 @@ def moved(
         Points whose coordinates are not finite keep NaN.
     """
     known = Transform.of(transform)
-    return replace(turned(cloud, known), xyz=known.apply(cloud.xyz), crs=crs)
+    metadata = moved_scans(cloud.metadata, known.matrix)
+    return replace(turned(cloud, known), xyz=known.apply(cloud.xyz), crs=crs, metadata=metadata)
 
 
 def turned(cloud: PointCloud, transform: Transform) -> PointCloud:

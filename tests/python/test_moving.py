@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 import tmchho
 from tmchho.cli import main
 from tmchho.errors import WriteError
+from tmchho.io.scans import Scan
 from tmchho.moving import apply_transform, moved
 from tmchho.transform import Transform
 
@@ -218,3 +219,16 @@ def test_parts_are_bounded_in_memory(tmp_path: Path) -> None:
         timeout=120,
     )
     assert int(ran.stdout) < 2_000_000 * 24 // 2**20
+
+
+def test_stations_move_with_their_points() -> None:
+    transform = some_transform()
+    station = np.eye(4)
+    station[:3, 3] = [500_010.0, 4_000_020.0, 311.5]
+    scans = (Scan("S1", station),)
+    cloud = tmchho.PointCloud(station[None, :3, 3] + np.zeros((3, 3)), metadata={"scans": scans})
+    there = moved(cloud, transform)
+    found = there.metadata["scans"][0]
+    assert found.name == "S1"
+    np.testing.assert_allclose(found.world_from_scan[:3, 3], there.xyz[0], atol=1e-6)
+    np.testing.assert_allclose(found.world_from_scan[:3, :3], transform.matrix[:3, :3], atol=1e-12)
