@@ -120,6 +120,22 @@ impl Cloud {
         })
     }
 
+    /// For measuring to or from: any number of finite points but none.
+    ///
+    /// # Errors
+    /// [`Error::TooFewPoints`], [`Error::CoordinateTooLarge`].
+    pub(crate) fn of_some_points(what: &str, points: &[Point]) -> Result<Self> {
+        let cloud = Self::of_any_shape(what, points)?;
+        if cloud.is_empty() {
+            return Err(Error::TooFewPoints {
+                what: what.into(),
+                found: 0,
+                needed: 1,
+            });
+        }
+        Ok(cloud)
+    }
+
     /// A cloud of other local points about the same kind of origin: what a stage hands on.
     pub(crate) fn from_local(origin: Point, points: Vec<Point>) -> Self {
         let n_given = points.len();
@@ -260,8 +276,28 @@ pub(crate) fn centroid(points: &[Point]) -> Point {
 /// Squared distance of two points.
 #[inline]
 pub(crate) fn distance_sq(a: &Point, b: &Point) -> f64 {
-    let d = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-    d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+    let d = difference(a, b);
+    dot(&d, &d)
+}
+
+/// From `b` to `a`.
+#[inline]
+pub(crate) fn difference(a: &Point, b: &Point) -> Point {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+#[inline]
+pub(crate) fn dot(a: &Point, b: &Point) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline]
+pub(crate) fn cross(a: &Point, b: &Point) -> Point {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
 }
 
 /// Names the shape of a cloud in which no pose is determined, if it has one.

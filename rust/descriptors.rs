@@ -7,7 +7,7 @@
 //! same side; histograms are compared by Hellinger's distance.
 //! Absent on purpose: keypoints; every point of a thinned cloud is described.
 
-use crate::cloud::{Point, centroid};
+use crate::cloud::{Point, centroid, cross, difference, dot};
 use crate::error::Result;
 use crate::neighbors::{Neighbor, NeighborIndex};
 use crate::normals;
@@ -177,22 +177,6 @@ fn towards(normal: Point, way: &Point) -> Point {
     } else {
         normal
     }
-}
-
-fn difference(a: &Point, b: &Point) -> Point {
-    std::array::from_fn(|axis| a[axis] - b[axis])
-}
-
-fn dot(a: &Point, b: &Point) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: &Point, b: &Point) -> Point {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
 }
 
 #[cfg(test)]

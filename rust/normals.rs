@@ -10,7 +10,7 @@
 //! Absent on purpose: orientation towards a sensor, which a cloud does not know; compare normals
 //! by the absolute value of their product.
 
-use crate::cloud::{Point, centroid};
+use crate::cloud::{Point, centroid, cross, dot};
 use crate::error::{Result, require_at_least, require_positive};
 use crate::neighbors::{NeighborIndex, Places};
 use crate::progress::Progress;
@@ -128,18 +128,6 @@ fn surface_through(points: &[Point]) -> Surface {
         curvature: least / scatter.trace(),
         roughness_m: (least / points.len() as f64).sqrt(),
     }
-}
-
-fn dot(a: &Point, b: &Point) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: &Point, b: &Point) -> Point {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
 }
 
 /// A symmetric 3×3 matrix: a sum of weighted outer products.

@@ -6,7 +6,7 @@
 
 use nalgebra::{Matrix6, SMatrix, SVector, Vector3};
 
-use crate::cloud::Point;
+use crate::cloud::{Point, difference};
 use crate::freedom::Freedom;
 use crate::rigid::Rigid;
 use crate::similarity::Similarity;
@@ -251,11 +251,6 @@ pub(crate) fn motion_along(p: &Point, normal: &Point) -> [f64; 6] {
         n[1],
         n[2],
     ]
-}
-
-#[inline]
-fn difference(a: &Point, b: &Point) -> Point {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 #[inline]

@@ -7,7 +7,7 @@
 //! using both normals. Deviates: the thickness of a plane is its own scatter; the combined covariance
 //! is inverted in closed form from the two normals, without the part that is no plane's.
 
-use crate::cloud::Point;
+use crate::cloud::{Point, dot};
 use crate::normals::Surface;
 use crate::surface_cloud::N_NORMAL_NEIGHBORS;
 
@@ -32,10 +32,6 @@ fn slope_variance(surface: &Surface) -> f64 {
 /// Variance across the surface by the mean variance along it.
 fn thickness(surface: &Surface) -> f64 {
     2.0 * surface.curvature / (1.0 - surface.curvature)
-}
-
-fn dot(a: &Point, b: &Point) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 fn is_known(surface: &Surface) -> bool {

@@ -1,7 +1,7 @@
 //! What is known of the points of a cloud in a cylinder: their mean place along its axis, their
 //! spread, and how well the mean is known where neighbouring points err alike.
 
-use crate::cloud::Point;
+use crate::cloud::{Point, cross, dot};
 
 /// A cylinder is cut into slabs about as thick as its radius, the core in the middle one, but into no
 /// more to either side than this.
@@ -129,18 +129,6 @@ pub(super) fn across(axis: &Point) -> [Point; 2] {
     let length = dot(&first, &first).sqrt();
     let first = first.map(|v| v / length);
     [first, cross(axis, &first)]
-}
-
-fn cross(a: &Point, b: &Point) -> Point {
-    std::array::from_fn(|i| {
-        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
-        a[j] * b[k] - a[k] * b[j]
-    })
-}
-
-#[inline]
-fn dot(a: &Point, b: &Point) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[cfg(test)]

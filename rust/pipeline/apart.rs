@@ -2,7 +2,7 @@
 
 use super::distances;
 use crate::cloud::{Cloud, Point};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::fuse::{FuseOptions, FusedCloud, fuse};
 use crate::neighbors::NeighborIndex;
 use crate::progress::{Event, Progress, Stage};
@@ -27,8 +27,8 @@ pub fn evaluate(
     target_from_source: impl Into<Similarity>,
     progress: &Progress<'_>,
 ) -> Result<Evaluation> {
-    let source = some_points("source cloud", source)?;
-    let target = some_points("target cloud", target)?;
+    let source = Cloud::of_some_points("source cloud", source)?;
+    let target = Cloud::of_some_points("target cloud", target)?;
     let local = target_from_source
         .into()
         .between_local_coordinates(source.origin(), target.origin());
@@ -54,8 +54,8 @@ pub fn fuse_clouds(
     progress: &Progress<'_>,
 ) -> Result<FusedCloud> {
     progress.emit(&Event::Started { stage: Stage::Fuse })?;
-    let source = some_points("source cloud", source)?;
-    let target = some_points("target cloud", target)?;
+    let source = Cloud::of_some_points("source cloud", source)?;
+    let target = Cloud::of_some_points("target cloud", target)?;
     let local = target_from_source
         .into()
         .between_local_coordinates(source.origin(), target.origin());
@@ -70,16 +70,4 @@ pub fn fuse_clouds(
         options,
         progress,
     )
-}
-
-fn some_points(what: &str, points: &[Point]) -> Result<Cloud> {
-    let cloud = Cloud::of_any_shape(what, points)?;
-    if cloud.is_empty() {
-        return Err(Error::TooFewPoints {
-            what: what.into(),
-            found: 0,
-            needed: 1,
-        });
-    }
-    Ok(cloud)
 }

@@ -11,7 +11,6 @@ use super::errors::as_argument;
 use super::registration::statistics;
 use super::run::{briefly, with_progress};
 use crate::cloud::{Cloud, Point};
-use crate::error::{Error, Result};
 use crate::evaluate::{CompareOptions, DistanceStatistics, compare};
 use crate::m3c2::{M3c2Change, M3c2Options, M3c2Scales, m3c2 as change_along_normals};
 use crate::neighbors::NeighborIndex;
@@ -31,8 +30,8 @@ pub(super) fn evaluate<'py>(
     let target_from_source = briefly(|| pose(&transformation))?;
     let options: CompareOptions = briefly(|| Ok(options(options_json)?))?;
     let found = with_progress(py, None, |progress| {
-        let of_source = some_points("source cloud", source)?;
-        let of_target = some_points("target cloud", target)?;
+        let of_source = Cloud::of_some_points("source cloud", source)?;
+        let of_target = Cloud::of_some_points("target cloud", target)?;
         let (from, to) = (of_source.origin(), of_target.origin());
         let local = target_from_source.between_local_coordinates(from, to);
         let found = compare(&of_source, &of_target, local, &options, progress);
@@ -74,8 +73,8 @@ pub(super) fn m3c2<'py>(
     let target_from_source = briefly(|| pose(&transformation))?;
     let options: M3c2Options = briefly(|| Ok(options(options_json)?))?;
     let (cores, changes, scales) = with_progress(py, None, |progress| {
-        let source = some_points("source cloud", source)?;
-        let target = some_points("target cloud", target)?;
+        let source = Cloud::of_some_points("source cloud", source)?;
+        let target = Cloud::of_some_points("target cloud", target)?;
         let (from, to) = (source.origin(), target.origin());
         let local: Similarity = target_from_source.between_local_coordinates(from, to);
         let moved: Vec<Point> = source.points().iter().map(|p| local.apply(p)).collect();
@@ -136,16 +135,4 @@ pub(super) fn distance_statistics<'py>(
         Ok(DistanceStatistics::from_distances(distances_m))
     })?;
     briefly(|| found.map(|found| statistics(py, &found)).transpose())
-}
-
-fn some_points(what: &str, points: &[Point]) -> Result<Cloud> {
-    let cloud = Cloud::of_any_shape(what, points)?;
-    if cloud.is_empty() {
-        return Err(Error::TooFewPoints {
-            what: what.into(),
-            found: 0,
-            needed: 1,
-        });
-    }
-    Ok(cloud)
 }

@@ -7,7 +7,7 @@
 //! Deviates: nowhere; points of the boxes that are left are tested one by one.
 
 use super::{Block, Blocks, Node, WIDTH, greater, sum_of_squares};
-use crate::cloud::Point;
+use crate::cloud::{Point, dot};
 use crate::neighbors::NeighborIndex;
 
 /// A part of space.
@@ -183,11 +183,6 @@ impl Blocks {
             }
         });
     }
-}
-
-#[inline]
-fn dot(a: &Point, b: &Point) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[cfg(test)]
