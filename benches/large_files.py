@@ -1,6 +1,6 @@
 """Two simulated surveys of any size, as LAZ, registered, measured and fused by the command line.
 
-    python benches/large_files.py --millions 5 --folder /tmp/large --max-memory 2GB
+    python benches/large_files.py --millions 5 --folder out/large --max-memory 2GB
 
 The surveys are made once, a million points at a time, each time drawn anew from the same site; beyond five
 millions, points drawn before come again, each displaced by some centimetres of noise. Printed are
