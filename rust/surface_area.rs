@@ -5,6 +5,7 @@
 //! Source: integral geometry (Cauchy, Crofton): a plane with the unit normal n, laid anywhere across
 //! a grid of cubes of edge e, meets (|nx| + |ny| + |nz|) / e² of them per unit of its area; so each
 //! cube that is met stands for e² / (|nx| + |ny| + |nz|).  Deviates: nowhere.
+//! Accuracy: about a tenth, on the low side: a cube that the surface cuts at a corner may hold no point.
 //! Absent on purpose: meshes; loops over the table, whose order nobody can foretell.
 
 use std::collections::HashMap;
@@ -14,11 +15,15 @@ use nalgebra::{Matrix3, SymmetricEigen};
 use crate::cloud::Point;
 use crate::error::{Error, Result, require_positive};
 use crate::parallel;
+use crate::rigid::Rigid;
 
 /// Fewest points in a cube from which its normal is taken; others get the mean of those.
 const LEAST_POINTS: f64 = 6.0;
 /// More cubes are not kept: their edge is doubled instead.
 const MAX_CUBES: usize = 1 << 18;
+/// By which the grid is turned against the axes of the points. What people build is level and square:
+/// a floor of 1 cm of noise in a plane of the grid would be met twice.
+const TURN_RAD: [f64; 3] = [0.5, 0.9, 0.3];
 /// The mean of |nx| + |ny| + |nz| over all directions, where no cube has enough points.
 const MEAN_SUM: f64 = 1.5;
 
@@ -33,11 +38,12 @@ const MEAN_SUM: f64 = 1.5;
 ///     .collect();
 /// let mut area = SurfaceArea::new(0.5)?;
 /// area.add(&roof)?;
-/// assert!((area.total() / 1200.0 - 1.0).abs() < 0.05);
+/// assert!((area.total() / 1200.0 - 1.0).abs() < 0.1);
 /// # Ok::<(), tmchho::Error>(())
 /// ```
 #[derive(Debug)]
 pub struct SurfaceArea {
+    turn: Rigid,
     edge_m: f64,
     max_cubes: usize,
     numbers: HashMap<[i64; 3], u32>,
@@ -54,6 +60,7 @@ impl SurfaceArea {
     /// [`Error::InvalidArgument`] where it is not above 0.
     pub fn new(edge_m: f64) -> Result<Self> {
         Ok(Self {
+            turn: Rigid::from_euler(TURN_RAD, [0.0; 3]),
             edge_m: require_positive("edge_m", edge_m)?,
             max_cubes: MAX_CUBES,
             numbers: HashMap::new(),
@@ -67,6 +74,7 @@ impl SurfaceArea {
     /// [`Error::InvalidArgument`] where a coordinate is not finite or too large for the edge.
     pub fn add(&mut self, points: &[Point]) -> Result<()> {
         for point in points {
+            let point = self.turn.rotate(point);
             let cell = point.map(|v| (v / self.edge_m).floor());
             if !cell.iter().all(|v| v.abs() < 9e15) {
                 return Err(Error::argument(
@@ -179,7 +187,6 @@ fn sum_of_normal(moments: &Moments) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::random::Stream;
-    use crate::rigid::Rigid;
 
     /// A square of 20 by 20, with 100 points per unit of area, turned and moved.
     fn square(turn: [f64; 3], seed: u64) -> Vec<Point> {
@@ -200,12 +207,25 @@ mod tests {
     }
 
     #[test]
+    fn a_noisy_floor_counts_once_wherever_it_lies() {
+        let mut stream = Stream::new(9, "area", 0);
+        for height in [0.0, 0.24, 0.5] {
+            let mut draw = |width: f64| width * stream.uniform();
+            let floor: Vec<Point> = (0..40_000)
+                .map(|_| [draw(20.0), draw(20.0), height + draw(0.02) - 0.01])
+                .collect();
+            let found = area(&floor, 0.5);
+            assert!((360.0..420.0).contains(&found), "{height}: {found}");
+        }
+    }
+
+    #[test]
     fn a_square_keeps_its_area_however_it_lies() {
         let mut stream = Stream::new(1, "turns", 0);
         for seed in 0..12 {
             let turn = std::array::from_fn(|_| stream.uniform_between(-3.0, 3.0));
             let found = area(&square(turn, seed), 0.5);
-            assert!((360.0..450.0).contains(&found), "{found} at {turn:?}");
+            assert!((350.0..450.0).contains(&found), "{found} at {turn:?}");
         }
     }
 
@@ -229,9 +249,9 @@ mod tests {
         let flat: Vec<Point> = (0..100)
             .map(|i| [f64::from(i % 10), f64::from(i / 10), 0.25])
             .collect();
-        // Nine points in each of nine cubes, and fewer in seven along two sides.
+        // At most nine points a cube; along its sides the square is 9 to 10 long.
         let found = area(&flat, 3.0);
-        assert!((found - 16.0 * 9.0).abs() < 1e-9, "{found}");
+        assert!((80.0..130.0).contains(&found), "{found}");
     }
 
     #[test]
