@@ -23,6 +23,7 @@ test-python: $(VENV)/.ready ## The Python package, its command line and its exam
 lint: $(VENV)/.ready ## Formatting, lints and types, Rust and Python
 	cargo fmt --check
 	cargo clippy --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --quiet
 	PYO3_PYTHON=$(abspath $(BIN)/python) cargo clippy --features python -- -D warnings
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .

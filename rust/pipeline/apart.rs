@@ -20,7 +20,8 @@ pub struct Evaluation {
 /// Stage 7 alone: the distances at a pose that is already known.
 ///
 /// # Errors
-/// [`Error::TooFewPoints`] for a cloud without finite points; [`Error::Cancelled`].
+/// [`Error::TooFewPoints`](crate::Error::TooFewPoints) for a cloud without finite points;
+/// [`Error::Cancelled`](crate::Error::Cancelled).
 pub fn evaluate(
     source: &[Point],
     target: &[Point],
@@ -44,8 +45,9 @@ pub fn evaluate(
 /// Stage 8 alone: one cloud from two, at a pose that is already known.
 ///
 /// # Errors
-/// [`Error::TooFewPoints`] for a cloud without finite points; [`Error::InvalidArgument`] for the
-/// options; [`Error::Cancelled`].
+/// [`Error::TooFewPoints`](crate::Error::TooFewPoints) for a cloud without finite points;
+/// [`Error::InvalidArgument`](crate::Error::InvalidArgument) for the options;
+/// [`Error::Cancelled`](crate::Error::Cancelled).
 pub fn fuse_clouds(
     source: &[Point],
     target: &[Point],

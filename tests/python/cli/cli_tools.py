@@ -10,6 +10,16 @@ from click.testing import CliRunner, Result
 
 from tmchho.cli import main
 
+# The pairs of real clouds that `TMCHHO_DATA` holds.
+REAL_PAIRS = (
+    "forest_ALS_to_UAS",
+    "strips_bcts1",
+    "strips_amsterdam",
+    "facade_2_to_1",
+    "room_2_to_1",
+    "hippo_1_to_2",
+)
+
 
 def run(*arguments: object) -> Result:
     """Run a command within this process; it must end by an exit code, not by an exception.

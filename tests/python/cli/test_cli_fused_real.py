@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_tools import run
+from cli_tools import REAL_PAIRS, run
 from numpy.typing import NDArray
 
 import tmchho
@@ -15,18 +15,10 @@ from tmchho.fused import colour_factors, no_data_value
 from tmchho.moving import turned
 from tmchho.transform import read_transform
 
-PAIRS = (
-    "forest_ALS_to_UAS",
-    "strips_bcts1",
-    "strips_amsterdam",
-    "facade_2_to_1",
-    "room_2_to_1",
-    "hippo_1_to_2",
-)
 COLOURS = ("red", "green", "blue")
 
 
-@pytest.mark.parametrize("name", PAIRS)
+@pytest.mark.parametrize("name", REAL_PAIRS)
 def test_every_attribute_of_every_point_is_in_the_fused_file(
     data_dir: Path, tmp_path: Path, name: str
 ) -> None:

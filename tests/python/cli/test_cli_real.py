@@ -7,22 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_tools import names_in, run
+from cli_tools import REAL_PAIRS, names_in, run
 
 import tmchho
 from tmchho.outputs import OUTPUTS, read_matrix
 
-PAIRS = (
-    "forest_ALS_to_UAS",
-    "strips_bcts1",
-    "strips_amsterdam",
-    "facade_2_to_1",
-    "room_2_to_1",
-    "hippo_1_to_2",
-)
 
-
-@pytest.mark.parametrize("name", PAIRS)
+@pytest.mark.parametrize("name", REAL_PAIRS)
 def test_a_real_pair_runs_from_end_to_end(data_dir: Path, tmp_path: Path, name: str) -> None:
     survey = data_dir / "survey"
     pair = next(pair for pair in json.loads((survey / "pairs.json").read_text()) if pair["name"] == name)
