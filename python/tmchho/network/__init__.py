@@ -1,0 +1,1 @@
+"""Networks of many stations, registered and adjusted together."""
