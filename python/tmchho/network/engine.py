@@ -1,11 +1,11 @@
 """Where the work of a network is done: units of work, handed to whoever has a processor free.
 
-Why: pairs of stations and tiles know nothing of each other, so that they can be worked on in any order, on any
-number of machines. Whoever computes writes one function for one unit and never learns where it runs.
+Why: pairs of stations and tiles know nothing of each other, so that they can be worked on in any order, on
+any number of machines. Whoever computes writes one function for one unit and never learns where it runs.
 
-A unit is a pure function at the top of a module: a dict in, a dict out. Both hold only what JSON knows, clouds
-as references to files and never as points, so that they can be sent to another machine, written down, and
-compared. Everything that the result depends on stands in the item: the settings, too.
+A unit is a pure function at the top of a module: a dict in, a dict out. Both hold only what JSON knows,
+clouds as references to files and never as points, so that they can be sent to another machine, written down,
+and compared. Everything that the result depends on stands in the item: the settings, too.
 Absent on purpose: how work is spread over machines, which `tmchho.network.cluster` leaves to Dask; what was
 finished before, which `tmchho.network.store` knows.
 """
@@ -77,7 +77,8 @@ class _Surroundings:
     stop: Event | None = None
 
 
-_surroundings: ContextVar[_Surroundings] = ContextVar("surroundings", default=_Surroundings())
+_NONE_SAID = _Surroundings()
+_surroundings: ContextVar[_Surroundings] = ContextVar("surroundings", default=_NONE_SAID)
 
 
 def unit_threads() -> int | None:
