@@ -1,1 +1,14 @@
-"""Networks of many stations, registered and adjusted together."""
+"""Many stations in one frame: pairs are registered, checked by loops, and adjusted together."""
+
+from tmchho.network.results import FineOverlap, LoopClosure, NetworkLink, NetworkRegistration, PlacedStation
+from tmchho.network.stations import Station, StationControl
+
+__all__ = [
+    "FineOverlap",
+    "LoopClosure",
+    "NetworkLink",
+    "NetworkRegistration",
+    "PlacedStation",
+    "Station",
+    "StationControl",
+]
