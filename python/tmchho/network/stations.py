@@ -161,9 +161,7 @@ def checked_stations(
             raise InvalidArgumentError(f"two stations are called '{name}'; give each a name of its own")
     for point in control_points:
         if not isinstance(point, StationControl):
-            raise InvalidArgumentError(
-                f"control_points must hold StationControl, got {type(point).__name__}"
-            )
+            raise InvalidArgumentError(f"control_points must hold StationControl, got {type(point).__name__}")
         if point.station not in names:
             raise InvalidArgumentError(f"a control point is of '{point.station}', which is no station")
     if all(station.free_scale for station in stations):
