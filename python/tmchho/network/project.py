@@ -241,23 +241,13 @@ def _found_files(patterns: Any, folder: Path) -> list[Path]:
     found: dict[Path, None] = {}
     for pattern in patterns:
         whole = _inside(pattern, "files", folder)
-        # From where the pattern begins to be one; what stands before may hold any character.
-        fixed = Path(*_before_pattern(whole))
-        rest = whole.relative_to(fixed)
-        matches = sorted(fixed.glob(str(rest))) if rest.parts else [fixed]
+        # Only what was written is a pattern; the folder of the project may have any name.
+        base = folder if whole.is_relative_to(folder) else Path(whole.anchor)
+        matches = sorted(base.glob(str(whole.relative_to(base))))
         if not matches:
             raise ReadError(f"{whole}: no file has such a name")
         found.update(dict.fromkeys(matches))
     return list(found)
-
-
-def _before_pattern(path: Path) -> list[str]:
-    parts: list[str] = []
-    for part in path.parts:
-        if any(mark in part for mark in "*?["):
-            break
-        parts.append(part)
-    return parts
 
 
 def _inside(path: Any, key: str, folder: Path) -> Path:
