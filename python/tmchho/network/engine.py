@@ -69,12 +69,20 @@ class Engine(Protocol):
         ...
 
 
+class Stop(Protocol):
+    """Whether a unit should end early, because nobody waits for it any more."""
+
+    def is_set(self) -> bool:
+        """Return whether it should."""
+        ...
+
+
 @dataclass(frozen=True)
 class _Surroundings:
     """What a unit may ask for, and what must not change its result."""
 
     n_threads: int | None = None
-    stop: Event | None = None
+    stop: Stop | None = None
 
 
 _NONE_SAID = _Surroundings()
@@ -96,7 +104,7 @@ def unit_progress(_event: ProgressEvent) -> bool:
 
 
 @contextmanager
-def surroundings(n_threads: int | None, stop: Event | None = None) -> Iterator[None]:
+def surroundings(n_threads: int | None, stop: Stop | None = None) -> Iterator[None]:
     """Say what `unit_threads` and `unit_progress` answer within the block."""
     token = _surroundings.set(_Surroundings(n_threads, stop))
     try:

@@ -96,21 +96,21 @@ class Store:
         except FileNotFoundError:
             return None
         except (OSError, UnicodeDecodeError) as error:
-            return _unusable(path, reason(error))
+            _complain(path, reason(error))
+            return None
         try:
             entry = json.loads(text)
             result, checksum = entry["result"], entry["sha256"]
         except (ValueError, KeyError, TypeError):
-            return _unusable(path, "it is cut short or not ours")
+            result, checksum = None, ""
         if not isinstance(result, dict) or checksum != _digest(result):
-            return _unusable(path, "its checksum is wrong")
+            _complain(path, "it is damaged")
+            return None
         for made in _made_files(result):
-            try:
-                is_same = _checksum(Path(made["path"])) == made["sha256"]
-            except ReadError:
-                return _unusable(path, f"{made['path']}, which belongs to it, is gone")
-            if not is_same:
-                return _unusable(path, f"{made['path']}, which belongs to it, was changed or is damaged")
+            file = Path(made["path"])
+            if not file.is_file() or _checksum(file) != made["sha256"]:
+                _complain(path, f"{file}, which it speaks of, is gone, changed or damaged")
+                return None
         return result
 
     def put(self, stage: str, key: str, result: Item) -> None:
@@ -126,9 +126,15 @@ class Store:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise WriteError(f"{path.parent}: cannot be made ({reason(error)}); check the disk") from error
-        text = json.dumps({"sha256": _digest(result), "result": result}, sort_keys=True)
+        # In its own order, in which it is read back: a result must be the same wherever it comes from.
+        text = json.dumps({"sha256": _digest(result), "result": result})
         with atomic_path(path, overwrite=True) as temporary:
             temporary.write_text(text + "\n", encoding="utf-8", newline="\n")
+
+    def tidy(self) -> None:
+        """Remove the unfinished files that a kill left; only where no other run works in the folder."""
+        for leftover in self.folder.rglob(".*.tmp-*"):
+            leftover.unlink(missing_ok=True)
 
     def _path(self, stage: str, key: str) -> Path:
         # Two digits more, so that no folder holds a hundred thousand files.
@@ -222,5 +228,5 @@ def _checksum(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _unusable(path: Path, why: str) -> None:
+def _complain(path: Path, why: str) -> None:
     logger.warning("%s: cannot be used again (%s); it is computed anew", path, why)
