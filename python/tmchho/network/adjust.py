@@ -1,12 +1,12 @@
 """All stations at once: the poses that contradict links and observations least.
 
-Unknowns are a small motion of each station about the middle of its cloud: six numbers, seven where its scale
-is free. Links count by the inverse of their covariance, positions, poses and control points by their standard
-deviations. `scipy.optimize.least_squares` solves it with a sparse Jacobian and Cauchy's loss, from the poses of
-a spanning tree.
+Unknowns are a small motion of each station about the middle of its cloud: six numbers, seven where its
+scale is free. Links count by the inverse of their covariance, positions, poses and control points by their
+standard deviations. `scipy.optimize.least_squares` solves it with a sparse Jacobian and Cauchy's loss, from
+the poses that the links lead to.
 
-Sources: Grisetti, Kümmerle, Stachniss & Burgard (2010), "A tutorial on graph-based SLAM"; standard errors from
-the inverse of the normal matrix, as in any adjustment.
+Sources: Grisetti, Kümmerle, Stachniss & Burgard (2010), "A tutorial on graph-based SLAM"; standard
+errors from the inverse of the normal matrix, as in any adjustment.
 Absent on purpose: the search for wrong links, which is that of `tmchho.network.loops`.
 """
 
@@ -337,11 +337,13 @@ def normalised_residual(link: Link, source_pose: Array, target_pose: Array) -> f
     """Return what a link's residual is by what its covariance lets expect: about 1 where all is well."""
     motion = link_motion(link, source_pose, target_pose)
     n_known = int(np.count_nonzero(np.diag(link.information)))
-    return float(np.sqrt(max(motion @ link.information @ motion, 0.0) / max(n_known, 1)))
+    square = float(motion @ link.information @ motion)
+    return float(np.sqrt(max(square, 0.0) / max(n_known, 1)))
 
 
 def _usual(residuals: Array) -> float:
-    return 1.4826 * float(np.median(np.abs(residuals[residuals != 0]))) if residuals.any() else 0.0
+    known = np.abs(residuals[residuals != 0])
+    return 1.4826 * float(np.median(known)) if len(known) else 0.0
 
 
 def _root(information: Array) -> Array:

@@ -65,7 +65,7 @@ class Frame:
 
     @property
     def is_enough(self) -> bool:
-        """Whether this alone says where a group of linked stations lies: a pose, or three places not in line."""
+        """Whether this says where a group of linked stations lies: a pose, or three places not in line."""
         if self.fixed or self.known_poses:
             return True
         positions = np.array([o.position for o in self.places]).reshape(-1, 3)
@@ -115,7 +115,8 @@ def frame_of(stations: Sequence[Station], control_points: Sequence[StationContro
     known: list[Any] = [point.position for point in control_points]
     known += [s.position for s in stations if s.position is not None]
     known += [np.array(s.pose)[:3, 3] for s in stations if s.pose is not None]
-    world_origin = np.round(np.mean(np.array(known), axis=0)) if known else np.zeros(3)
+    middle = np.array(known).reshape(-1, 3).mean(axis=0) if known else np.zeros(3)
+    world_origin: Array = np.asarray(np.round(middle))
     bare = Frame(world_origin, origins, {}, (), ())
     fixed: dict[int, Array] = {}
     places, known_poses = [], []
@@ -156,7 +157,7 @@ def frame_of(stations: Sequence[Station], control_points: Sequence[StationContro
 def rough_centres(
     stations: Sequence[Station], frame: Frame, middles: Array, reaches: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return where the middles of the clouds lie as far as is known, how far they reach from there, and of which.
+    """Return where the middles of clouds lie if that is known, how far they reach, and of which it is known.
 
     A position without a heading says only on which sphere the middle lies: the reach grows by its radius.
     """

@@ -1,8 +1,8 @@
 """Which links can be believed: round trips over links have to end where they began.
 
-Why: two equal piers are registered with each other perfectly, and nothing in the pair tells that they are two.
-The loops tell. A spanning tree of the links that most short loops confirm places the stations; every other
-link closes a loop of the tree. While loops stay open, the link that most open and fewest closed ones have in
+Why: two equal piers are registered with each other perfectly, and nothing in the pair tells that they are
+two. The loops tell. A spanning tree of the links that most short loops confirm places the stations; every
+other link closes a loop of the tree. While loops stay open, the link that most open and fewest closed ones have in
 common is left out, the least certain of equals, and the tree is grown again.
 
 Sources: the idea of checking cycles is Zach, Klopschitz & Pollefeys (2010), "Disambiguating visual relations
@@ -83,7 +83,7 @@ class Checked:
 
 
 class Bodies:
-    """Middles and radii of the clouds, in their local frames, and the voxel: what a misclosure is measured by."""
+    """Middles and radii of the clouds, local, and the voxel: what a misclosure is measured by."""
 
     def __init__(self, middles: Array, radii: Array, voxel_size: float) -> None:
         self.middles, self.radii, self.voxel_size = middles, radii, voxel_size
@@ -194,7 +194,7 @@ def spanning_forest(
 
 
 def components(links: Sequence[Link], n_stations: int) -> list[list[int]]:
-    """Return the groups of stations that links tie together, the largest first, then by their first station."""
+    """Return the groups of stations that links tie together, the largest first."""
     neighbours = _neighbours(links, range(len(links)), n_stations)
     seen: set[int] = set()
     groups = []

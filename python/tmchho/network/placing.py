@@ -180,7 +180,7 @@ def place(growth: Growth, frame: Frame) -> NetworkPlaces:
 def _started(
     links: Sequence[Link], frame: Frame, free_scale: frozenset[int], n_stations: int
 ) -> tuple[dict[int, Array], set[int], int | None]:
-    """Return poses to begin with, who is held, and the station that gives the frame where nothing else does."""
+    """Return poses to begin with, who is held, and the station that gives the frame for want of others."""
     groups = components(links, n_stations)
     start: dict[int, Array] = {}
     for group in groups:

@@ -162,15 +162,13 @@ def screen_pair(item: Item) -> Item:
     Parameters
     ----------
     item : dict
-        ``first`` and ``second``, references as `describe_cloud` returns them; ``unit``, as it was given there.
+        ``first`` and ``second``, references as `describe_cloud` returns them; ``unit``, as given there.
 
     Returns
     -------
     dict
         ``n_agreeing``, and ``pose``, which takes the first to the second, None where no three matches agree.
     """
-    from scipy.spatial import cKDTree
-
     first, second = voxel_cloud(item["first"]), voxel_cloud(item["second"])
     tolerance = MATCH_TOLERANCE_VOXELS * VOXEL_BY_UNIT * item["unit"]
     alike = first.descriptors @ second.descriptors.T
@@ -218,4 +216,4 @@ def fitted_pose(source: Array, target: Array) -> Array:
 
 def _distances(points: Array) -> Array:
     square = np.einsum("ij,ij->i", points, points)
-    return np.sqrt(np.maximum(square[:, None] + square - 2.0 * points @ points.T, 0.0))
+    return np.asarray(np.sqrt(np.maximum(square[:, None] + square - 2.0 * points @ points.T, 0.0)))

@@ -5,8 +5,8 @@ every other one near them, all together: partners are found anew in each round, 
 system. A unit, `fine_equations`, makes the share of one pair of stations; what is held, observed or free is
 the same as in `tmchho.network.adjust`.
 
-Sources: point-to-plane after Chen & Medioni (1992), many clouds at once after Pulli (1999) and Bergevin et al.
-(1996). Neighbouring residuals have errors in common: what a pair says counts once for each cell of space.
+Sources: point-to-plane after Chen & Medioni (1992), many clouds at once after Pulli (1999) and Bergevin et
+al. (1996). Neighbouring residuals have errors in common: what a pair says counts once for each cell of space.
 """
 
 from __future__ import annotations
@@ -77,14 +77,14 @@ def fine_equations(item: Item) -> Item:
     ----------
     item : dict
         ``first`` and ``second``, references as `describe_cloud` returns them; ``first_pose`` and
-        ``second_pose``, their ``world_from_local``; ``first_middle`` and ``second_middle``, local, about which
-        they turn; ``reach`` and ``voxel_size`` in the unit of the world.
+        ``second_pose``, their ``world_from_local``; ``first_middle`` and ``second_middle``, local, about
+        which they turn; ``reach`` and ``voxel_size`` in the unit of the world.
 
     Returns
     -------
     dict
-        ``matrix`` (14 × 14) and ``vector`` (14) of the motions of the first and then the second station, weighted
-        by the variance of the residuals and the number of cells; ``n_pairs``; ``overlap``, the share of the
+        ``matrix`` (14 × 14) and ``vector`` (14) of the motions of the first, then of the second station,
+        weighted by the variance of the residuals and the number of cells; ``n_pairs``; ``overlap``, the share of the
         smaller cloud's voxels with a partner; ``rms`` of the residuals.
     """
     numbers = ("first", "second")

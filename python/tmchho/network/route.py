@@ -177,7 +177,7 @@ def _result(
 ) -> NetworkRegistration:
     if not any(link.kept for link in found.judged):
         raise NoSolutionError(
-            "no two stations could be registered with each other; give rough positions, or clouds that overlap"
+            "no two stations could be registered with each other; give rough positions or clouds that overlap"
         )
     n = len(stations)
     names = [station.name for station in stations]

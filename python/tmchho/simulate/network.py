@@ -199,7 +199,7 @@ def _with_piers(site: Site) -> tuple[Site, list[Array]]:
 
 
 def _pier_parts() -> list[Solid]:
-    """A pier with footing, shaft, head, ladder shaft and blocks about it: nothing of it is symmetrical."""
+    """Return a pier with footing, shaft, head, a tube and blocks about it: nothing is symmetrical."""
     parts: list[tuple[Literal["box", "cylinder"], tuple[float, ...], tuple[float, ...], float]] = [
         ("box", (0.0, 0.0, 0.5), (4.0, 2.5, 0.5), 0.2),
         ("box", (0.0, 0.0, 4.5), (2.2, 1.1, 3.5), 0.2),
