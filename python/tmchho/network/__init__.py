@@ -1,6 +1,7 @@
 """Many stations in one frame: pairs are registered, checked by loops, and adjusted together."""
 
 from tmchho.network.results import FineOverlap, LoopClosure, NetworkLink, NetworkRegistration, PlacedStation
+from tmchho.network.route import register_network
 from tmchho.network.stations import Station, StationControl
 
 __all__ = [
@@ -11,4 +12,5 @@ __all__ = [
     "PlacedStation",
     "Station",
     "StationControl",
+    "register_network",
 ]

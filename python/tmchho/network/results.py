@@ -27,7 +27,7 @@ class PlacedStation(ReadOnlyArrays):
     scale : float
         Length in the world of what is one unit long in its cloud; 1 unless its scale was free.
     sigma_position_m : (3,) float64 array or None
-        Standard errors of the middle of its cloud along the axes of the world; zeros where it gives the frame.
+        Standard errors of the middle of its cloud along the axes of the world; zeros where it is held.
     sigma_rotation_rad : (3,) float64 array or None
         Standard errors of the rotation about these axes.
     sigma_scale : float or None

@@ -41,7 +41,7 @@ class Station:
     position_sigma_m : float or (3,) array_like, optional
         Standard deviations of `position` along the axes of the world, above 0: that of a GNSS receiver, say.
     pose : (4, 4) array_like, optional
-        ``world_from_station``, if only roughly; with the two standard deviations it is an observation as well.
+        ``world_from_station``, if only roughly; with both standard deviations it is an observation as well.
     pose_sigma_rad, pose_sigma_m : float, optional
         Standard deviations of the rotation about each axis, and of the position of the station's origin along
         each axis, above 0. Both or none.
