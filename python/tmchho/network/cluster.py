@@ -20,7 +20,7 @@ from typing import Any
 
 from tmchho import __version__
 from tmchho.errors import BudgetError, InvalidArgumentError, TmchhoError
-from tmchho.network.engine import Counted, Finished, Item, Unit, plain, surroundings
+from tmchho.network.engine import Counted, Finished, Item, Unit, keep_sums_steady, plain, surroundings
 from tmchho.progress import ProgressCallback
 
 _DEATHS = 3  # of workers that had the same unit: the unit is to blame then, not the workers
@@ -197,6 +197,7 @@ def _work(item: Item, *, unit: Unit, n_threads: int, version: str) -> Item:
             f"a worker has tmchho {__version__}, but the network is run by {version}: install the same "
             "version everywhere"
         )
+    keep_sums_steady()
     with surroundings(n_threads, _Cancelled()):
         return plain(unit(item))
 

@@ -110,14 +110,14 @@ def rough_terrain(xy: np.ndarray) -> np.ndarray:
 
 
 def make_clouds(n_clouds: int, n_points: int = 4000) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return windows of one ground that share half with the next, each in a frame of its own, and the poses."""
+    """Return windows of one ground, each in a frame of its own, and their poses; each meets the next two."""
     clouds, poses = [], []
     for number in range(n_clouds):
         generator = np.random.default_rng(100 + number)
-        low = np.array([6.0 * number, 0.0])
-        xy = generator.uniform(low, low + [12.0, 14.0], (n_points, 2))
+        low = np.array([4.0 * number, 0.0])
+        xy = generator.uniform(low, low + np.array([12.0, 14.0]), (n_points, 2))
         world = np.column_stack([xy, rough_terrain(xy)]) + generator.normal(0.0, 0.005, (n_points, 3))
-        pose = pose_at(6.0 * number + 6.0, 7.0, 1.5, 0.9 * number)
+        pose = pose_at(4.0 * number + 6.0, 7.0, 1.5, 0.9 * number)
         pose[:3, 3] -= ORIGIN
         clouds.append((world - pose[:3, 3]) @ pose[:3, :3])
         poses.append(pose)

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tmchho.network.adjust import PlaceObservation, PoseObservation, Unknowns, _Problem, adjust, standard_errors
+from tmchho.network.adjust import (
+    PlaceObservation,
+    PoseObservation,
+    Unknowns,
+    _Problem,
+    adjust,
+    standard_errors,
+)
 from tmchho.network.links import Link
 from tmchho.network.loops import Bodies, check_loops, components, placed_by
 from tmchho.network.poses import applied, inverse, moved_by
@@ -106,7 +113,8 @@ def test_the_jacobian_is_that_of_finite_differences() -> None:
 
     def residuals(x: Array) -> Array:
         moved = {
-            k: moved_by(unknowns.motion(x, k), found, applied(found, MIDDLES[k])) for k, found in poses.items()
+            k: moved_by(unknowns.motion(x, k), found, applied(found, MIDDLES[k]))
+            for k, found in poses.items()
         }
         return problem.residuals(moved)
 
@@ -130,10 +138,14 @@ def test_standard_errors_are_those_of_chance_and_of_the_dense_inverse() -> None:
             sigma = 1 / np.sqrt(np.diag(one.information)[:6])
             motion = np.append(sigma * rng.standard_normal(6), 0.0)
             turned = moved_by(motion, one.pose, one.middle)
-            noisy.append(Link(one.source, one.target, turned, one.information, one.middle, "accepted", 5, 0.5, {}))
+            noisy.append(
+                Link(one.source, one.target, turned, one.information, one.middle, "accepted", 5, 0.5, {})
+            )
         found = adjust(start, noisy, MIDDLES, unknowns)
         moves.append(
-            np.concatenate([applied(found.poses[k], MIDDLES[k]) - applied(SQUARE[k], MIDDLES[k]) for k in (1, 2, 3)])
+            np.concatenate(
+                [applied(found.poses[k], MIDDLES[k]) - applied(SQUARE[k], MIDDLES[k]) for k in (1, 2, 3)]
+            )
         )
     found = adjust(start, exact, MIDDLES, unknowns)
     errors = standard_errors(found.normal, unknowns)
