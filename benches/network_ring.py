@@ -50,9 +50,10 @@ def main() -> None:
         ]
         right = sum(deg <= 1 and m <= 1e-3 for deg, m in errors)
         kept = sum(link.kept for link in found.links)
+        worst_deg, worst_mm = max(e[0] for e in errors), 1000 * max(e[1] for e in errors)
         print(
-            f"| {seed} | {right} of {len(clouds)} | {max(e[0] for e in errors):.2f}"
-            f" | {1000 * max(e[1] for e in errors):.2f} | {kept} | {len(found.links) - kept} | {seconds:.0f} |",
+            f"| {seed} | {right} of {len(clouds)} | {worst_deg:.2f} | {worst_mm:.2f}"
+            f" | {kept} | {len(found.links) - kept} | {seconds:.0f} |",
             flush=True,
         )
 

@@ -2,8 +2,8 @@
 
 Why: two equal piers are registered with each other perfectly, and nothing in the pair tells that they are
 two. The loops tell. A spanning tree of the links that most short loops confirm places the stations; every
-other link closes a loop of the tree. While loops stay open, the link that most open and fewest closed ones have in
-common is left out, the least certain of equals, and the tree is grown again.
+other link closes a loop of the tree. While loops stay open, the link that most open and fewest closed ones
+have in common is left out, the least certain of equals, and the tree is grown again.
 
 Sources: the idea of checking cycles is Zach, Klopschitz & Pollefeys (2010), "Disambiguating visual relations
 using loop constraints"; the search is our own, without random numbers.

@@ -84,8 +84,8 @@ def fine_equations(item: Item) -> Item:
     -------
     dict
         ``matrix`` (14 × 14) and ``vector`` (14) of the motions of the first, then of the second station,
-        weighted by the variance of the residuals and the number of cells; ``n_pairs``; ``overlap``, the share of the
-        smaller cloud's voxels with a partner; ``rms`` of the residuals.
+        weighted by the variance of the residuals and the number of cells; ``n_pairs``; ``overlap``, the share
+        of the smaller cloud's voxels with a partner; ``rms`` of the residuals.
     """
     numbers = ("first", "second")
     clouds = [voxel_cloud(item[role]) for role in numbers]
