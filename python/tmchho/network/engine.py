@@ -210,6 +210,8 @@ class InProcess:
         Units at a time; as many as the machine has processors where not given. Never changes the results.
     progress : callable, optional
         Gets an event after each item; answers True to stop.
+    threads_of_unit : int, optional
+        Threads of each unit; its share of the processors where not given. Never changes the results.
 
     Examples
     --------
@@ -219,11 +221,16 @@ class InProcess:
     [{'value': 6}, {'value': 8}]
     """
 
-    def __init__(self, n_workers: int | None = None, progress: ProgressCallback | None = None) -> None:
+    def __init__(
+        self,
+        n_workers: int | None = None,
+        progress: ProgressCallback | None = None,
+        threads_of_unit: int | None = None,
+    ) -> None:
         n_processors = os.cpu_count() or 1
         self.n_workers = n_workers or n_processors
         self.progress = progress
-        self._threads_of_unit = max(1, n_processors // self.n_workers)
+        self._threads_of_unit = threads_of_unit or max(1, n_processors // self.n_workers)
 
     def run(
         self, stage: str, unit: Unit, items: Sequence[Item], *, finished: Finished | None = None
