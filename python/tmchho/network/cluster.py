@@ -20,7 +20,7 @@ from typing import Any
 
 from tmchho import __version__
 from tmchho.errors import BudgetError, InvalidArgumentError, TmchhoError
-from tmchho.network.engine import Counted, Finished, Item, Unit, plain, surroundings
+from tmchho.network.engine import Counted, Finished, Item, Unit, keep_sums_steady, plain, surroundings
 from tmchho.progress import ProgressCallback
 
 _DEATHS = 3  # of workers that had the same unit: the unit is to blame then, not the workers
@@ -33,6 +33,7 @@ def local_cluster(
     *,
     memory_per_worker: int | None = None,
     progress: ProgressCallback | None = None,
+    threads_of_unit: int | None = None,
 ) -> Iterator[Cluster]:
     """Start processes on this machine, and end them with the block.
 
@@ -45,6 +46,8 @@ def local_cluster(
         happens several times ends the run. The machine's memory by the number of workers where not given.
     progress : callable, optional
         Gets an event after each item; answers True to stop.
+    threads_of_unit : int, optional
+        Threads of each unit; its share of the processors where not given. Never changes the results.
 
     Yields
     ------
@@ -72,7 +75,7 @@ def local_cluster(
         "distributed.worker.memory.pause": False,
         "distributed.worker.memory.terminate": 0.95,
     }
-    n_threads = max(1, (os.cpu_count() or 1) // n_workers)
+    n_threads = threads_of_unit or max(1, (os.cpu_count() or 1) // n_workers)
     with (
         tempfile.TemporaryDirectory(prefix="tmchho-") as scratch,
         dask.config.set(settings),
@@ -197,6 +200,7 @@ def _work(item: Item, *, unit: Unit, n_threads: int, version: str) -> Item:
             f"a worker has tmchho {__version__}, but the network is run by {version}: install the same "
             "version everywhere"
         )
+    keep_sums_steady()
     with surroundings(n_threads, _Cancelled()):
         return plain(unit(item))
 

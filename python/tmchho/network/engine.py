@@ -19,10 +19,12 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from threading import Event
 from typing import Any, Protocol, TypeAlias
 
-from tmchho.errors import StoppedError, TmchhoError
+from tmchho.errors import InvalidArgumentError, StoppedError, TmchhoError
 from tmchho.progress import ProgressCallback, ProgressEvent, says_stop
 
 Item: TypeAlias = dict[str, Any]
@@ -113,6 +115,43 @@ def surroundings(n_threads: int | None, stop: Stop | None = None) -> Iterator[No
         _surroundings.reset(token)
 
 
+@contextmanager
+def steady_sums() -> Iterator[None]:
+    """Let BLAS add up on one thread within the block: how it cuts a sum depends on their number.
+
+    Without it a matrix product on two threads differs in its last digit from the same on one, and a network
+    on a cluster from the same in this process.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If threadpoolctl is not installed.
+    """
+    limits = _limits_of_blas()
+    try:
+        yield
+    finally:
+        limits.restore_original_limits()
+
+
+@cache
+def keep_sums_steady() -> None:
+    """Do as `steady_sums` from now on, in a process that does nothing but units of work."""
+    _limits_of_blas()
+
+
+def _limits_of_blas() -> Any:
+    try:
+        # Each brings a BLAS of its own, which can only be told once it is there.
+        import_module("scipy.linalg")
+        threadpoolctl = import_module("threadpoolctl")
+    except ImportError as error:
+        raise InvalidArgumentError(
+            f"a network needs {error.name}; get it by: pip install 'tmchho[network]'"
+        ) from error
+    return threadpoolctl.threadpool_limits(1, user_api="blas")
+
+
 def plain(value: Item) -> Item:
     """Return a dict as it comes back from JSON, so that it is the same whether or not it was written down.
 
@@ -171,6 +210,8 @@ class InProcess:
         Units at a time; as many as the machine has processors where not given. Never changes the results.
     progress : callable, optional
         Gets an event after each item; answers True to stop.
+    threads_of_unit : int, optional
+        Threads of each unit; its share of the processors where not given. Never changes the results.
 
     Examples
     --------
@@ -180,11 +221,16 @@ class InProcess:
     [{'value': 6}, {'value': 8}]
     """
 
-    def __init__(self, n_workers: int | None = None, progress: ProgressCallback | None = None) -> None:
+    def __init__(
+        self,
+        n_workers: int | None = None,
+        progress: ProgressCallback | None = None,
+        threads_of_unit: int | None = None,
+    ) -> None:
         n_processors = os.cpu_count() or 1
         self.n_workers = n_workers or n_processors
         self.progress = progress
-        self._threads_of_unit = max(1, n_processors // self.n_workers)
+        self._threads_of_unit = threads_of_unit or max(1, n_processors // self.n_workers)
 
     def run(
         self, stage: str, unit: Unit, items: Sequence[Item], *, finished: Finished | None = None
@@ -198,7 +244,10 @@ class InProcess:
 
         results: list[Item] = [{} for _ in items]
         counted = Counted(self.progress, stage, len(items))
-        with ThreadPoolExecutor(self.n_workers, thread_name_prefix=f"tmchho-{stage}") as pool:
+        with (
+            steady_sums(),
+            ThreadPoolExecutor(self.n_workers, thread_name_prefix=f"tmchho-{stage}") as pool,
+        ):
             try:
                 places = {pool.submit(work, plain(item)): place for place, item in enumerate(items)}
                 for future in as_completed(places):

@@ -42,6 +42,7 @@ _TABLES: dict[str, tuple[str, ...]] = {
     "block": (*_PLACED, "free_scale"),
     "control_point": ("station", "place", "position", "sigma_m"),
 }
+_NETWORK = ("levelled", "voxel_size_m", "min_overlap")
 _POINT_COLUMNS = ("station", "place_x", "place_y", "place_z", "x", "y", "z", "sigma_m")
 
 
@@ -58,7 +59,8 @@ class Project:
     control_points : tuple of StationControl
         Places known in the world.
     network : mapping
-        Settings of the network, as they stand in the file.
+        Those of ``levelled``, ``voxel_size_m`` and ``min_overlap`` that the file gives; see
+        `tmchho.network.route.register_network`.
     registration : mapping
         Settings of the registration of a pair, as they stand in the file; see `tmchho.Config`.
     """
@@ -147,11 +149,13 @@ def _project(document: Mapping[str, Any], path: Path) -> Project:
             raise InvalidArgumentError(
                 f"a control point lies in station '{point.station}', which is not there"
             )
+    network = _table(document, "network")
+    _check_keys(network, _NETWORK, " in [network]")
     return Project(
         name=_text(document.get("name", path.stem), "name"),
         stations=tuple(stations),
         control_points=tuple(points),
-        network=_table(document, "network"),
+        network=network,
         registration=_table(document, "registration"),
     )
 

@@ -24,7 +24,7 @@ from tmchho.config import ConfigLike, config_json
 from tmchho.errors import InvalidArgumentError, NoSolutionError
 from tmchho.inputs import CloudLike
 from tmchho.io.atomic import StrPath
-from tmchho.network.engine import Engine, InProcess
+from tmchho.network.engine import Engine, InProcess, steady_sums
 from tmchho.network.frame import frame_of, rough_centres
 from tmchho.network.growth import Growth, Material
 from tmchho.network.loops import Bodies
@@ -110,7 +110,7 @@ def register_network(
     _need_scipy()
     engine = engine or InProcess(progress=progress)
     lent = tempfile.TemporaryDirectory(prefix="tmchho-") if work_folder is None else nullcontext(work_folder)
-    with lent as folder:
+    with steady_sums(), lent as folder:
         folder = Path(folder).absolute()
         folder.mkdir(parents=True, exist_ok=True)
         material, origins, voxel_size = _prepared(stations, folder, voxel_size, engine)

@@ -20,6 +20,7 @@ from typing import Any
 from tmchho import __version__
 from tmchho.errors import ReadError, WriteError
 from tmchho.io.atomic import atomic_path, reason
+from tmchho.io.format import NOTE
 from tmchho.network.engine import Engine, Finished, Item, Unit, plain
 
 logger = logging.getLogger(__name__)
@@ -164,7 +165,8 @@ class Resumed:
         known = [self.store.get(stage, key) for key in keys]
         missing = [place for place, result in enumerate(known) if result is None]
         if len(missing) < len(items):
-            logger.info("%s: %d of %d are done already", stage, len(items) - len(missing), len(items))
+            n_done = len(items) - len(missing)
+            logger.log(NOTE, "%s: %d of %d are done already", stage, n_done, len(items))
         results = [{} if result is None else result for result in known]
 
         def keep(number: int, result: Item) -> None:

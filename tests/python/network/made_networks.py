@@ -96,3 +96,29 @@ def made_network(n_stations: int = 12, *, is_wrong: bool = False) -> NetworkRegi
         settings={"seed": 3, "adjust": {"kernel": "cauchy"}},
         version="0.1.0",
     )
+
+
+def rough_terrain(xy: np.ndarray) -> np.ndarray:
+    """Return heights of a ground that looks like itself nowhere else."""
+    generator = np.random.default_rng(11)
+    height = np.zeros(len(xy))
+    for _ in range(60):
+        middle, size = generator.uniform([-5, -5], [35, 20]), generator.uniform(0.8, 2.5)
+        bump = generator.uniform(-2.0, 3.0)
+        height += bump * np.exp(-((xy - middle) ** 2).sum(axis=1) / (2 * size**2))
+    return height
+
+
+def make_clouds(n_clouds: int, n_points: int = 4000) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return windows of one ground, each in a frame of its own, and their poses; each meets the next two."""
+    clouds, poses = [], []
+    for number in range(n_clouds):
+        generator = np.random.default_rng(100 + number)
+        low = np.array([4.0 * number, 0.0])
+        xy = generator.uniform(low, low + np.array([12.0, 14.0]), (n_points, 2))
+        world = np.column_stack([xy, rough_terrain(xy)]) + generator.normal(0.0, 0.005, (n_points, 3))
+        pose = pose_at(4.0 * number + 6.0, 7.0, 1.5, 0.9 * number)
+        pose[:3, 3] -= ORIGIN
+        clouds.append((world - pose[:3, 3]) @ pose[:3, :3])
+        poses.append(pose)
+    return clouds, poses

@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tmchho.errors import InvalidCloudError
 from tmchho.io.atomic import atomic_path
 from tmchho.network.engine import unit_progress, unit_threads
@@ -43,6 +45,12 @@ def until_stopped(item: dict[str, Any]) -> dict[str, Any]:
             break
         time.sleep(0.01)
     return {}
+
+
+def normal_equations(item: dict[str, Any]) -> dict[str, Any]:
+    """Multiply matrices that are large enough for BLAS to share the work among its threads."""
+    values = np.random.default_rng(item["seed"]).normal(size=(4000, 60))
+    return {"sums": (values.T @ values).tolist()}
 
 
 def begun_or_waiting(item: dict[str, Any]) -> dict[str, Any]:

@@ -16,11 +16,13 @@ from network_units import (
     begun_or_waiting,
     deadly,
     deadly_once,
+    normal_equations,
     not_plain,
     refused,
     squared,
     surroundings_of,
 )
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from tmchho.errors import BudgetError, InvalidArgumentError, InvalidCloudError, StoppedError, TmchhoError
 from tmchho.network.cluster import Cluster, local_cluster, scheduler
@@ -48,6 +50,17 @@ def test_a_cluster_gives_the_results_of_one_process(two_workers: Cluster) -> Non
     assert found == RESULTS
     assert sorted(places) == list(range(len(ITEMS)))
     assert two_workers.n_workers == 2
+
+
+def test_sums_do_not_depend_on_the_threads_of_blas(two_workers: Cluster) -> None:
+    items = [{"seed": seed} for seed in range(4)]
+    expected = two_workers.run("summing", normal_equations, items)
+    for n_threads in (1, 2):
+        with threadpool_limits(n_threads, user_api="blas"):
+            assert InProcess(2).run("summing", normal_equations, items) == expected
+            # As it was before.
+            blas = [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+            assert set(blas) == {n_threads}
 
 
 def test_a_scheduler_address_takes_the_same_call(two_workers: Cluster) -> None:
@@ -106,7 +119,8 @@ def test_a_killed_worker_changes_nothing(two_workers: Cluster, tmp_path: Path) -
     assert [result["square"] for result in found] == [number * number for number in range(10)]
 
 
-def test_a_unit_that_kills_every_worker_ends_the_run() -> None:
+def test_a_unit_that_kills_every_worker_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tmchho.network.cluster._DEATHS", 1)
     with local_cluster(1) as cluster, pytest.raises(BudgetError, match="memory-per-worker"):
         cluster.run("killing", deadly, [{}])
 

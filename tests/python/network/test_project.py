@@ -119,6 +119,7 @@ TWO = '[[station]]\nfile = "a.laz"\n[[station]]\nfile = "b.laz"\n'
     [
         ("stations = 3\n" + TWO, "unknown key 'stations'"),
         (TWO + 'colour = "red"\n', r"unknown key 'colour' in \[\[station\]\] number 2"),
+        ("[network]\nvoxel = 1\n" + TWO, r"unknown key 'voxel' in \[network\]"),
         (TWO + "free_scale = true\n", "unknown key 'free_scale'"),
         (TWO + '[[block]]\nfile = "c.laz"\nscale = 1\n', r"unknown key 'scale' in \[\[block\]\] number 1"),
         (TWO + '[[control_point]]\nname = "T1"\n', r"unknown key 'name' in \[\[control_point\]\] number 1"),
