@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from tmchho.network.descriptors import VOXEL_BY_UNIT
 from tmchho.network.engine import Engine, Item
 from tmchho.network.links import Link, link_of, register_link
-from tmchho.network.loops import Bodies, Checked, check_loops, components, placed_by
+from tmchho.network.loops import Bodies, Checked, agreeing_links, check_loops, components, placed_by
 from tmchho.network.propose import Pair, overlapping_pairs, screen_pair, voted_pairs
 
 Array = NDArray[np.float64]
@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 N_SCREENED = 12
 N_TRIED = 5
 MAX_ROUNDS = 3
+# A pair that is not accepted alone, for want of overlap, may be confirmed by others if it leads its rivals so.
+MIN_DOUBTFUL_RATIO = 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,9 +166,17 @@ class Growth:
         return found
 
     def checked(self) -> tuple[list[Link], Checked]:
-        """Return the accepted links and what their loops say."""
+        """Return the links that are accepted, or confirmed by each other, and what their loops say."""
+        bodies, n = self.material.bodies, len(self.material)
         links = self.links()
-        return links, check_loops(links, len(self.material), self.material.bodies)
+        checked = check_loops(links, n, bodies)
+        doubtful = [
+            link for link in self.links(("review", "rejected")) if link.ambiguity_ratio >= MIN_DOUBTFUL_RATIO
+        ]
+        agreeing = agreeing_links([links[k] for k in checked.kept], doubtful, n, bodies)
+        if not agreeing:
+            return links, checked
+        return [*links, *agreeing], check_loops([*links, *agreeing], n, bodies)
 
     def groups(self) -> list[dict[int, Array]]:
         """Return the poses of each group of stations that links tie together, each in a frame of its own."""

@@ -172,6 +172,69 @@ def check_loops(links: Sequence[Link], n_stations: int, bodies: Bodies) -> Check
     return Checked(tuple(remaining), left_out, tuple(n_loops), tuple(n_open), loops)
 
 
+def agreeing_links(
+    kept: Sequence[Link], doubtful: Sequence[Link], n_stations: int, bodies: Bodies
+) -> list[Link]:
+    """Find links that are doubtful alone but say the same as another one, so that they close a loop.
+
+    Parameters
+    ----------
+    kept : sequence of Link
+        Those that are believed.
+    doubtful : sequence of Link
+        Each of a pair of its own.
+    n_stations : int
+        Stations are numbered from 0.
+    bodies : Bodies
+        What misclosures are measured by.
+
+    Returns
+    -------
+    list of Link
+        Those of `doubtful` of which at least two, between the same two groups of linked stations, place the
+        one group alike with regard to the other. A single one proves nothing, however good it looks.
+    """
+    found: list[Link] = []
+    while True:
+        believed = [*kept, *found]
+        group_of: dict[int, int] = {}
+        poses: dict[int, Array] = {}
+        for number, group in enumerate(components(believed, n_stations)):
+            poses.update(placed_by(believed, range(len(believed)), n_stations, group[0]))
+            group_of.update(dict.fromkeys(group, number))
+        between: dict[tuple[int, int], list[Link]] = {}
+        for link in doubtful:
+            ends = sorted((group_of[link.source], group_of[link.target]))
+            if ends[0] != ends[1]:
+                between.setdefault((ends[0], ends[1]), []).append(link)
+        clusters = [
+            [other for other in links if other is one or _says_the_same(one, other, group_of, poses, bodies)]
+            for links in between.values()
+            for one in links
+        ]
+        largest = max(clusters, key=len, default=[])
+        if len(largest) < 2:
+            return found
+        found += largest
+
+
+def _says_the_same(
+    one: Link, other: Link, group_of: dict[int, int], poses: dict[int, Array], bodies: Bodies
+) -> bool:
+    """Tell whether two links between the same two groups close the loop that they make with the groups."""
+    whole = _between(other, poses)
+    if group_of[other.source] != group_of[one.source]:
+        whole = inverse(whole)
+    wanted = inverse(poses[one.target]) @ whole @ poses[one.source]
+    away, _ = bodies.disagreement(one.source, one.pose, wanted)
+    return away <= TOLERANCE_VOXELS * bodies.voxel_size * 2.0
+
+
+def _between(link: Link, poses: dict[int, Array]) -> Array:
+    """Return the pose that takes the frame of the source's group to that of the target's."""
+    return np.asarray(poses[link.target] @ link.pose @ inverse(poses[link.source]))
+
+
 def spanning_forest(
     links: Sequence[Link], certainty: Sequence[tuple[float, ...]], n_stations: int
 ) -> list[int]:

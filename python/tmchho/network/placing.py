@@ -143,7 +143,12 @@ def place(growth: Growth, frame: Frame) -> NetworkPlaces:
         number, away = worst
         why[number] = f"its pose lies {away:.3g} from what all other links say together"
         del kept[number]
-    doubtful = growth.links(("review",))
+    believed_pairs = {ordered(link.source, link.target) for link in accepted}
+    doubtful = [
+        link
+        for link in growth.links(("review", "rejected"))
+        if ordered(link.source, link.target) not in believed_pairs
+    ]
     confirmed = [link for link in doubtful if _says_the_same(link, found.poses, bodies)]
     if confirmed:
         found = adjust(
@@ -155,7 +160,7 @@ def place(growth: Growth, frame: Frame) -> NetworkPlaces:
 
     judged = _judged(accepted, checked, why, fine.poses, bodies)
     confirmed_ids = {id(link) for link in confirmed}
-    for link in [*doubtful, *growth.links(("rejected",))]:
+    for link in doubtful:
         is_kept = id(link) in confirmed_ids
         reason = "" if is_kept else f"the pair alone is not accepted ({link.record['reasons'][0]})"
         residual, normalised = _residuals(link, fine.poses, bodies)
