@@ -7,9 +7,10 @@ PART is one of
     worker    a network on two workers, one of which is killed (kill -9) in the middle
     resume    a network that is killed as a whole at random moments, and resumed each time
     overhead  what a unit of work costs that does nothing: in this process, on a cluster, with the store
+    costs     what each step of a network costs a unit, in seconds of a processor
 and all where it is not given. The results must be the same to the byte; the script ends with 1 where they are
 not. The tables go to standard output as Markdown. Times mean something only on a machine that does nothing
-else; the load is printed with them.
+else, and the load is printed with them; the time of the busiest processor tells nearly the same on any.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +32,14 @@ import tmchho
 from tmchho.config import config_json
 from tmchho.network import register_network
 from tmchho.network.cluster import Cluster, local_cluster
-from tmchho.network.engine import Engine, InProcess, Item
+from tmchho.network.engine import Engine, InProcess, Item, Unit
 from tmchho.network.links import register_link
 from tmchho.network.prepare import prepare_cloud
 from tmchho.network.store import Resumed, Store, input_reference
 from tmchho.progress import ProgressEvent
 from tmchho.simulate import make_network
 
-PARTS = ("pairs", "worker", "resume", "overhead")
+PARTS = ("pairs", "worker", "resume", "overhead", "costs")
 N_NOTHINGS = 2000
 
 
@@ -63,6 +64,8 @@ def main() -> None:
             same &= kill_and_resume(paths, arguments.kills, folder)
         if "overhead" in wanted:
             measure_overhead(folder)
+        if "costs" in wanted:
+            measure_costs(paths, folder)
     if not same:
         sys.exit("the results differ")
 
@@ -96,24 +99,36 @@ def measure_pairs(paths: list[Path], n_pairs: int, folder: Path) -> bool:
     ]
 
     print(f"\n{len(items)} pairs, load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors\n")
-    print("| where | seconds | speed-up | same results |")
-    print("|---|---|---|---|")
-    alone, expected = timed(InProcess(1, threads_of_unit=1), items)
-    print(f"| one process, one thread | {alone:.1f} | 1 | – |", flush=True)
+    print(
+        "| where | seconds | speed-up | seconds of the busiest processor | speed-up by these | same results |"
+    )
+    print("|---|---|---|---|---|---|")
+    engine = InProcess(1, threads_of_unit=1)
+    alone, expected, busy = timed(engine, items, lambda: [time.process_time()])
+    print(f"| one process, one thread | {alone:.1f} | 1 | {busy:.1f} | 1 | – |", flush=True)
     with local_cluster(2, threads_of_unit=1) as cluster:
         cluster.run("warming", nothing, [{"number": number} for number in range(8)])
-        both, found = timed(cluster, items)
+
+        def clocks() -> list[float]:
+            return list(cluster.client.run(time.process_time).values())
+
+        both, found, busiest = timed(cluster, items, clocks)
     print(
-        f"| two workers, one thread each | {both:.1f} | {alone / both:.2f} | {found == expected} |",
+        f"| two workers, one thread each | {both:.1f} | {alone / both:.2f} | {busiest:.1f} "
+        f"| {busy / busiest:.2f} | {found == expected} |",
         flush=True,
     )
     return found == expected
 
 
-def timed(engine: Engine, items: list[Item]) -> tuple[float, list[Item]]:
-    began = time.perf_counter()
+def timed(
+    engine: Engine, items: list[Item], clocks: Callable[[], list[float]]
+) -> tuple[float, list[Item], float]:
+    """Return the time, the results, and the processor time of the process that worked most."""
+    began, before = time.perf_counter(), clocks()
     found = engine.run("links", register_link, items)
-    return time.perf_counter() - began, found
+    seconds = time.perf_counter() - began
+    return seconds, found, max(after - start for after, start in zip(clocks(), before, strict=True))
 
 
 def lose_a_worker(paths: list[Path], folder: Path) -> bool:
@@ -201,6 +216,42 @@ def measure_overhead(folder: Path) -> None:
             began = time.perf_counter()
             engine.run("nothing", nothing, items)
             print(f"| {name} | {1000 * (time.perf_counter() - began) / N_NOTHINGS:.2f} |", flush=True)
+
+
+def measure_costs(paths: list[Path], folder: Path) -> None:
+    """Register a network and add up what its steps took; a processor's time hardly depends on the load."""
+    engine = Counting()
+    began = time.process_time()
+    found = register_network(paths, engine=engine, work_folder=folder / "costs")
+    whole = time.process_time() - began
+    print(
+        f"\n{len(paths)} stations, {found.n_pairs_registered} pairs registered, "
+        f"{sum(link.kept for link in found.links)} links kept\n"
+    )
+    print("| step | units | seconds of a processor, each | bytes of a result |")
+    print("|---|---|---|---|")
+    for stage, (n_units, seconds, n_bytes) in engine.stages.items():
+        n_units = max(n_units, 1)
+        print(f"| {stage} | {n_units} | {seconds / n_units:.3f} | {n_bytes / n_units:.0f} |")
+        whole -= seconds
+    print(f"| what lies between | 1 | {whole:.2f} | – |", flush=True)
+
+
+class Counting(InProcess):
+    """Adds up units, processor time and bytes by stage."""
+
+    def __init__(self) -> None:
+        super().__init__(1, threads_of_unit=1)
+        self.stages: dict[str, tuple[int, float, int]] = {}
+
+    def run(self, stage: str, unit: Unit, items: Sequence[Item], **further: Any) -> list[Item]:
+        """Do as any engine, and note what it took."""
+        began = time.process_time()
+        found = super().run(stage, unit, items, **further)
+        seconds = time.process_time() - began
+        n_units, before, n_bytes = self.stages.get(stage, (0, 0.0, 0))
+        self.stages[stage] = (n_units + len(items), before + seconds, n_bytes + len(json.dumps(found)))
+        return found
 
 
 def nothing(item: dict[str, Any]) -> dict[str, Any]:
