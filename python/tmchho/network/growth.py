@@ -1,9 +1,11 @@
 """How a network grows: pairs are proposed, registered and checked, and what they place proposes the next.
 
 1. What is known roughly says which pairs can touch. A block is tried with every station.
-2. Links place stations; whoever overlaps with whom there, and was not tried, is tried.
-3. Stations that nothing places yet ask the votes of the descriptors, look briefly at those named, and try the
-   best; each round goes further down their lists.
+2. Links place stations; who overlaps with whom there, and was not tried, is tried near that place. Only
+   stations that are sure are asked: a closed loop, or a block, confirms their place. Of two equal piers the
+   second would otherwise be taken for the first by all neighbours, and agree with all of them.
+3. Stations that are not sure ask the votes of the descriptors, look briefly at those named, and try the best;
+   each round goes further down their lists.
 4. What is still not placed is searched as thoroughly as a pair alone would be.
 
 So the number of registrations follows the links that exist, not the pairs that could be thought of.
@@ -22,6 +24,7 @@ from tmchho.network.descriptors import VOXEL_BY_UNIT
 from tmchho.network.engine import Engine, Item
 from tmchho.network.links import Link, link_of, register_link
 from tmchho.network.loops import Bodies, Checked, agreeing_links, check_loops, components, placed_by
+from tmchho.network.poses import inverse
 from tmchho.network.propose import Pair, overlapping_pairs, screen_pair, voted_pairs
 
 Array = NDArray[np.float64]
@@ -30,7 +33,11 @@ Array = NDArray[np.float64]
 N_SCREENED = 12
 N_TRIED = 5
 MAX_ROUNDS = 3
-# A pair that is not accepted alone, for want of overlap, may be confirmed by others if it leads its rivals so.
+# A station is sought at once in a block up to so many times its size; a smaller one asks others first.
+MAX_SIZE_RATIO = 4.0
+# Standard deviations of where a pair is looked for that overlaps as its stations are placed.
+NEAR_VOXELS, NEAR_RAD = 5.0, 0.05
+# A pair that is not accepted alone, for want of overlap, may be confirmed by others from this lead on.
 MIN_DOUBTFUL_RATIO = 1.3
 
 
@@ -101,26 +108,40 @@ class Growth:
         first = set(near)
         for block in blocks:
             others = (k for k in range(len(self.material)) if k != block)
-            first |= {ordered(block, k) for k in others if not (known[block] and known[k])}
+            first |= {
+                ordered(block, k)
+                for k in others
+                if not (known[block] and known[k]) and self._is_alike(block, k)
+            }
         self.register(first, quick=True)
         self.spread()
         votes: list[list[int]] | None = None
         for turn in range(MAX_ROUNDS):
-            lost = self.lost()
-            if not lost:
+            doubtful = sorted(set(range(len(self.material))) - self.sure())
+            if not doubtful:
                 return
             votes = votes or voted_pairs(self.material.described)
-            self.register(self._best_voted(lost, votes, turn), quick=True)
+            self.register(self._best_voted(doubtful, votes, turn), quick=True)
             self.spread()
         for turn in range(MAX_ROUNDS):
             lost = self.lost()
-            if not lost or votes is None:
+            if not lost:
                 return
-            self.register(self._thorough(lost, votes, turn), quick=False)
+            self.register(self._thorough(lost, turn), quick=False)
             self.spread()
 
-    def register(self, pairs: Iterable[Pair], *, quick: bool) -> None:
-        """Register the pairs that were not yet, or, if not quick, were not accepted."""
+    def register(self, pairs: Iterable[Pair], *, quick: bool, near: dict[Pair, Array] | None = None) -> None:
+        """Register the pairs that were not yet, or, if not quick, were not accepted.
+
+        Parameters
+        ----------
+        pairs : iterable of (int, int)
+            Rising.
+        quick : bool
+            Whether one round of the search has to do.
+        near : dict of pair to (4, 4) array, optional
+            About where the pose of a pair, from source to target, is looked for.
+        """
         tried = self.results
         wanted = sorted(
             pair
@@ -136,6 +157,8 @@ class Growth:
                 config["coarse"] = {**config["coarse"], "rotations_per_round": rounds[:1]}
             if {source, target} & self.material.free_scale:
                 config["dof"] = 7
+            elif near and (a, b) in near:
+                config["known"] = {**config["known"], "prior": self._prior(near[a, b])}
             items.append(
                 {
                     "source": self.material.prepared[source],
@@ -189,29 +212,58 @@ class Growth:
         return groups
 
     def spread(self) -> None:
-        """Register pairs that overlap where links have placed them, until there are no new ones."""
+        """Register pairs of sure stations that overlap where links have placed them, while there are any."""
         material = self.material
         while True:
-            new: set[Pair] = set()
-            for poses in self.groups():
-                if len(poses) > 2:
-                    pairs = overlapping_pairs(
-                        poses,
-                        material.described,
-                        material.bodies.middles,
-                        material.reaches,
-                        VOXEL_BY_UNIT * material.unit,
-                        self.min_overlap,
-                    )
-                    new |= {pair for pair in pairs if pair not in self.results}
-            if not new:
+            sure = self.sure()
+            near: dict[Pair, Array] = {}
+            for group in self.groups():
+                poses = {station: pose for station, pose in group.items() if station in sure}
+                pairs = overlapping_pairs(
+                    poses,
+                    material.described,
+                    material.bodies.middles,
+                    material.reaches,
+                    VOXEL_BY_UNIT * material.unit,
+                    self.min_overlap,
+                )
+                for pair in pairs:
+                    if pair not in self.results:
+                        source, target = self.direction(pair)
+                        near[pair] = inverse(poses[target]) @ poses[source]
+            if not near:
                 return
-            self.register(new, quick=True)
+            self.register(near, quick=True, near=near)
+
+    def sure(self) -> set[int]:
+        """Return the stations whose place is confirmed: by a closed loop, or by a block."""
+        links, checked = self.checked()
+        found = set()
+        for number in checked.kept:
+            link = links[number]
+            ends = {link.source, link.target}
+            if checked.n_loops[number] > checked.n_open[number] or ends & self.material.blocks:
+                found |= ends
+        return found
+
+    def _prior(self, pose: Array) -> dict[str, Any]:
+        """Return a pose as loose prior knowledge: what is found within it has still found itself."""
+        away = [NEAR_VOXELS * self.material.bodies.voxel_size] * 3
+        return {
+            "target_from_source": pose.tolist(),
+            "rotation_rad": [NEAR_RAD] * 3,
+            "translation_m": away,
+        }
 
     def lost(self) -> list[int]:
         """Return the stations outside the largest group."""
         groups = self.groups()
         return sorted(station for group in groups[1:] for station in group)
+
+    def _is_alike(self, a: int, b: int) -> bool:
+        """Tell whether a cloud is not too small to be found in the other one soon."""
+        reaches = self.material.reaches
+        return bool(max(reaches[a], reaches[b]) <= MAX_SIZE_RATIO * min(reaches[a], reaches[b]))
 
     def _best_voted(self, lost: Sequence[int], votes: Sequence[Sequence[int]], turn: int) -> set[Pair]:
         """Return for each lost station the pairs that look best among those that the votes name."""
@@ -231,7 +283,7 @@ class Growth:
             chosen |= set(pairs[:N_TRIED])
         return chosen
 
-    def _thorough(self, lost: Sequence[int], votes: Sequence[Sequence[int]], turn: int) -> set[Pair]:
+    def _thorough(self, lost: Sequence[int], turn: int) -> set[Pair]:
         """Return for each lost station the next best pairs of all that were looked at."""
         chosen: set[Pair] = set()
         for station in lost:

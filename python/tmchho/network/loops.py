@@ -144,11 +144,9 @@ def check_loops(links: Sequence[Link], n_stations: int, bodies: Bodies) -> Check
     while True:
         tree = spanning_forest([links[k] for k in remaining], [certainty[k] for k in remaining], n_stations)
         in_tree = {remaining[k] for k in tree}
+        ways = _ways_up(links, in_tree, n_stations)
         closing = [
-            bodies.loop(links, trip)
-            for number in remaining
-            if number not in in_tree
-            for trip in [_trip(links, in_tree, number, n_stations)]
+            bodies.loop(links, _trip(links, ways, number)) for number in remaining if number not in in_tree
         ]
         if all(loop.is_closed for loop in closing):
             break
@@ -321,24 +319,38 @@ def _triangles(links: Sequence[Link], bodies: Bodies) -> list[Loop]:
     return loops
 
 
-def _trip(links: Sequence[Link], tree: set[int], number: int, n_stations: int) -> list[tuple[int, bool]]:
-    """Return the round trip that a link makes with a tree, beginning with the link."""
-    link = links[number]
+def _ways_up(links: Sequence[Link], tree: set[int], n_stations: int) -> dict[int, tuple[int, int, int, bool]]:
+    """Return for each station of a forest its depth, and how to go up: to whom, by which link, which way."""
     neighbours = _neighbours(links, sorted(tree), n_stations)
-    came: dict[int, tuple[int, int, bool]] = {link.target: (-1, -1, False)}
-    waiting = [link.target]
-    while waiting and link.source not in came:
-        nearest = []
-        for station in waiting:
+    ways: dict[int, tuple[int, int, int, bool]] = {}
+    for root in range(n_stations):
+        if root in ways:
+            continue
+        ways[root] = (0, -1, -1, False)
+        waiting = [root]
+        while waiting:
+            station = waiting.pop()
             for other, by, backwards in neighbours[station]:
-                if other not in came:
-                    came[other] = (station, by, backwards)
-                    nearest.append(other)
-        waiting = nearest
-    trip = []
-    station = link.source
-    while station != link.target:
-        before, by, backwards = came[station]
-        trip.append((by, backwards))
-        station = before
-    return [(number, False), *reversed(trip)]
+                if other not in ways:
+                    ways[other] = (ways[station][0] + 1, station, by, not backwards)
+                    waiting.append(other)
+    return ways
+
+
+def _trip(
+    links: Sequence[Link], ways: dict[int, tuple[int, int, int, bool]], number: int
+) -> list[tuple[int, bool]]:
+    """Return the round trip that a link makes with a forest, beginning with the link."""
+    above, below = links[number].target, links[number].source
+    there: list[tuple[int, bool]] = []
+    back: list[tuple[int, bool]] = []
+    while above != below:
+        if ways[above][0] >= ways[below][0]:
+            _, up, by, backwards = ways[above]
+            there.append((by, backwards))
+            above = up
+        else:
+            _, up, by, backwards = ways[below]
+            back.append((by, not backwards))
+            below = up
+    return [(number, False), *there, *reversed(back)]

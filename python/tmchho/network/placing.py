@@ -192,7 +192,7 @@ def _started(
         known = frame.within(group)
         if known.is_enough:
             poses = placed_by(links, range(len(links)), n_stations, best_linked(links, group, free_scale))
-            start.update(known.onto(poses))
+            start.update({**known.onto(poses), **known.fixed})
     if start:
         return start, set(frame.fixed), None
     reference = best_linked(links, groups[0], free_scale)
@@ -266,6 +266,8 @@ def _judged(
     judged = []
     for number, link in enumerate(accepted):
         residual, normalised = _residuals(link, poses, bodies)
+        if residual is None and number not in why:
+            why = {**why, number: "nothing that is kept ties its stations to the frame of the network"}
         judged.append(
             JudgedLink(
                 link,

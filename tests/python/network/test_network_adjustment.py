@@ -132,7 +132,7 @@ def test_standard_errors_are_those_of_chance_and_of_the_dense_inverse() -> None:
     unknowns = Unknowns(range(4), {0}, set())
     start = dict(enumerate(SQUARE))
     moves = []
-    for _ in range(60):
+    for _ in range(40):
         noisy = []
         for one in exact:
             sigma = 1 / np.sqrt(np.diag(one.information)[:6])
@@ -154,7 +154,7 @@ def test_standard_errors_are_those_of_chance_and_of_the_dense_inverse() -> None:
         columns = unknowns.columns(k)
         np.testing.assert_allclose(errors[k], dense[np.ix_(columns, columns)], rtol=1e-6, atol=1e-14)
     expected = np.sqrt(np.concatenate([np.diag(errors[k])[3:6] for k in (1, 2, 3)]))
-    # 60 runs know a standard deviation to 9 %; Cauchy's loss costs a little.
+    # 40 runs know a standard deviation to 11 %; Cauchy's loss costs a little.
     assert np.std(moves, axis=0) / expected == pytest.approx(np.ones(9), abs=0.4)
     assert np.mean(np.std(moves, axis=0) / expected) == pytest.approx(1.0, abs=0.12)
 
