@@ -153,7 +153,7 @@ def test_killed_at_random_moments_resume_leaves_the_same_bytes(
     generator = random.Random(5)
     work = folder / "work" / "finished"
     n_killed = 0
-    while n_killed < 3:
+    while n_killed < 2:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         n_entries = len(list(work.rglob("*.json")))
         goal = n_entries + generator.randint(1, 4)
