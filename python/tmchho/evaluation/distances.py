@@ -31,7 +31,7 @@ SIGNED = ("normal", "vertical")
 
 # As for fusion: a place farther than so many spacings, of those that nine points in ten of the sparser
 # cloud keep to, is a hole.
-_HOLE_IN_SPACINGS = 3.0
+HOLE_IN_SPACINGS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,30 +92,53 @@ class Evaluation(ReadOnlyArrays):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the distances of single points as what JSON knows."""
-        shares = self.share_within or (None, None)
-        both = (self.source_to_target_statistics, self.target_to_source_statistics)
-        directions = {
-            name: {
-                **({"n_points": 0} if statistics is None else vars(statistics)),
-                "share_within": share,
-                "n_beyond": n_beyond,
-            }
-            for name, statistics, share, n_beyond in zip(
-                ("source_to_target", "target_to_source"), both, shares, self.n_beyond, strict=True
-            )
-        }
-        values: dict[str, Any] = plain(
-            {
-                "method": self.method,
-                "tolerance": self.tolerance,
-                "max_distance": self.max_distance,
-                **directions,
-                "spacing": {"source": self.spacing[0], "target": self.spacing[1]},
-                "areas": self.areas,
-                "warnings": self.warnings,
-            }
+        return evaluation_entries(
+            self.method,
+            self.tolerance,
+            self.max_distance,
+            (self.source_to_target_statistics, self.target_to_source_statistics),
+            self.share_within or (None, None),
+            self.n_beyond,
+            self.spacing,
+            self.areas,
+            self.warnings,
         )
-        return values
+
+
+def evaluation_entries(
+    method: DistanceMethod,
+    tolerance: float | None,
+    max_distance: float | None,
+    statistics: tuple[DistanceStatistics | None, DistanceStatistics | None],
+    shares: tuple[float | None, float | None],
+    n_beyond: tuple[int, int],
+    spacing: tuple[float, float],
+    areas: tuple[AreaStatistics, ...],
+    warnings: tuple[str, ...],
+) -> dict[str, Any]:
+    """Return what `Evaluation.to_dict` does; of pairs, the first is from source to target."""
+    directions = {
+        name: {
+            **({"n_points": 0} if summed_up is None else vars(summed_up)),
+            "share_within": share,
+            "n_beyond": beyond,
+        }
+        for name, summed_up, share, beyond in zip(
+            ("source_to_target", "target_to_source"), statistics, shares, n_beyond, strict=True
+        )
+    }
+    entries: dict[str, Any] = plain(
+        {
+            "method": method,
+            "tolerance": tolerance,
+            "max_distance": max_distance,
+            **directions,
+            "spacing": {"source": spacing[0], "target": spacing[1]},
+            "areas": areas,
+            "warnings": warnings,
+        }
+    )
+    return entries
 
 
 def evaluate(
@@ -201,7 +224,7 @@ def evaluate(
         shares.append(None if within is None else float(within.mean()))
     rows: tuple[AreaStatistics, ...] = ()
     if areas is not None:
-        hole_radius = _HOLE_IN_SPACINGS * found["wide_spacing"] or 1.0  # one point has no spacing
+        hole_radius = HOLE_IN_SPACINGS * found["wide_spacing"] or 1.0  # one point has no spacing
         if given_areas is None:
             reach = hole_radius if max_distance is None else max_distance
             overlap = target_cloud.xyz[np.abs(back) <= reach]
