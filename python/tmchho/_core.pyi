@@ -38,6 +38,7 @@ __all__ = [
     "methods",
     "minimize",
     "nearest_distances",
+    "plane_points",
     "register",
     "remove_outliers",
     "rms_fitness",
@@ -90,6 +91,7 @@ def surface_within(
     high: tuple[float, float, float] | _Floats,
     options_json: str,
 ) -> tuple[_Floats, NDArray[np.bool_]]: ...
+def plane_points(options_json: str) -> int: ...
 def surface_of_rounds(places: _Floats, rounds: _Floats, options_json: str) -> _Floats: ...
 def m3c2_scales(
     places: tuple[_Floats, _Floats], reference: _Floats, compared: _Floats, options_json: str

@@ -295,6 +295,12 @@ pub(super) fn surface_within<'py>(
     briefly(|| Ok((from_vec(py, distances), from_vec::<bool>(py, settled))))
 }
 
+/// Through how many points a plane goes.
+#[pyfunction]
+pub(super) fn plane_points(options_json: &str) -> PyResult<usize> {
+    briefly(|| Ok(options::<CompareOptions>(options_json)?.n_neighbors))
+}
+
 /// From each row of `places` to the surface between as many rows of `rounds` each, in their order.
 #[pyfunction]
 pub(super) fn surface_of_rounds<'py>(

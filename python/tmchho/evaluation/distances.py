@@ -199,13 +199,7 @@ def evaluate(
     array([5.        , 7.21110255])
     """
     matrix = pose_matrix(transformation)
-    for name, value in (("tolerance", tolerance), ("max_distance", max_distance)):
-        if value is not None and checked_number(name, value) < 0:
-            raise InvalidArgumentError(f"{name} must be at least 0, got {value}")
-    options = options_json(
-        method=None if method is None else checked_choice("method", method, _METHODS),
-        n_neighbors=None if n_neighbors is None else checked_count("n_neighbors", n_neighbors),
-    )
+    options = compare_options(method, n_neighbors, tolerance, max_distance)
     source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
     given_areas = given_areas_of(areas, target_cloud.crs)
     with naming(source_cloud, target_cloud):
@@ -252,6 +246,22 @@ def evaluate(
         spacing=spacing,
         areas=rows,
         warnings=density_warnings((statistics[0], statistics[1]), spacing) if chosen == "nearest" else (),
+    )
+
+
+def compare_options(
+    method: DistanceMethod | None,
+    n_neighbors: int | None,
+    tolerance: float | None,
+    max_distance: float | None,
+) -> str:
+    """Return the arguments of `evaluate` as options of the core, checked."""
+    for name, value in (("tolerance", tolerance), ("max_distance", max_distance)):
+        if value is not None and checked_number(name, value) < 0:
+            raise InvalidArgumentError(f"{name} must be at least 0, got {value}")
+    return options_json(
+        method=None if method is None else checked_choice("method", method, _METHODS),
+        n_neighbors=None if n_neighbors is None else checked_count("n_neighbors", n_neighbors),
     )
 
 
