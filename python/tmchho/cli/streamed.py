@@ -29,7 +29,6 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         As its class says; no file was written then.
     """
     from tmchho import PointCloud
-    from tmchho.io import is_las, open_las
     from tmchho.outputs import (
         FUSED,
         REPORT_POINTS,
@@ -49,13 +48,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
     from tmchho.transform import Transform
 
     paths = (job.source, job.target)
-    for path in paths:
-        if not is_las(path):
-            raise BudgetError(
-                f"{path}: together with the other file needs more memory than is allowed, and only LAS and "
-                "LAZ can be read in parts; convert it to LAZ, or allow more with --max-memory"
-            )
-    source, target = open_las(job.source), open_las(job.target)
+    source, target = (open_in_parts(path) for path in paths)
     if source.header.has_waveforms:
         raise WriteError(
             f"{job.source}: LAZ cannot hold waveforms; convert the file to a format without them"
@@ -149,6 +142,18 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         with shown.step("write", "writing"):
             write_together(job.folder, outputs, overwrite=job.overwrite, inputs=paths)
     return Outcome(registration, document, remove_others(job.folder, outputs))
+
+
+def open_in_parts(path: Path) -> LasPoints:
+    """Open a file that is too large to be read as a whole; `BudgetError` if it is neither LAS nor LAZ."""
+    from tmchho.io import is_las, open_las
+
+    if not is_las(path):
+        raise BudgetError(
+            f"{path}: together with the other file needs more memory than is allowed, and only LAS and "
+            "LAZ can be read in parts; convert it to LAZ, or allow more with --max-memory"
+        )
+    return open_las(path)
 
 
 def _keep(selection: Selection | None, file: LasPoints) -> Keep | None:

@@ -13,8 +13,9 @@ from tmchho import _core
 from tmchho.arguments import checked_array, checked_count, checked_number
 from tmchho.cloud import PointCloud
 from tmchho.config import options_json
-from tmchho.evaluation.areas import AreaStatistics, automatic_areas, measure_areas
+from tmchho.evaluation.areas import automatic_areas, measure_areas
 from tmchho.evaluation.distances import AreasLike, given_areas_of
+from tmchho.evaluation.tally import AreaStatistics
 from tmchho.inputs import CloudLike, naming, open_cloud, open_points
 from tmchho.results import DistanceStatistics, ReadOnlyArrays, Registration, plain, pose_matrix
 
@@ -131,7 +132,7 @@ def change_entries(
     median_level: float | None,
 ) -> dict[str, Any]:
     """Return what `Change.to_dict` does; `told` has the settings, the lengths, the areas and the warnings."""
-    same = ("registration_error", "normal_radii", "cylinder_radius", "max_depth", "min_points", "areas", "warnings")
+    lengths = ("registration_error", "normal_radii", "cylinder_radius", "max_depth")
     entries: dict[str, Any] = plain(
         {
             "method": "m3c2",
@@ -143,7 +144,7 @@ def change_entries(
                 "share_significant": share_significant,
                 "median_level_of_detection": median_level,
             },
-            **{name: told[name] for name in same},
+            **{name: told[name] for name in (*lengths, "min_points", "areas", "warnings")},
         }
     )
     return entries
@@ -289,7 +290,9 @@ def m3c2(
     )
 
 
-UNKNOWN_ERROR = "the error of the registration is not known and counts as 0: what it shifted may pass for change"
+UNKNOWN_ERROR = (
+    "the error of the registration is not known and counts as 0: what it shifted may pass for change"
+)
 
 
 def few_points_warnings(n_few: int, n_seen: int, min_points: int) -> list[str]:

@@ -127,7 +127,7 @@ class ColourScale(ReadOnlyArrays):
     def counts(
         self, distances: NDArray[np.float64], significant: NDArray[np.bool_] | None = None
     ) -> NDArray[np.int64]:
-        """Return the points of each class, farther, not significant, and without a distance, for `legend_of`."""
+        """Return how many points are in each class, farther, not significant, and without a distance."""
         found, n_classes = self.classes(distances), len(self.colours)
         missing = np.isnan(distances)
         quiet = np.zeros(len(distances), dtype=bool) if significant is None else ~significant & ~missing

@@ -15,7 +15,8 @@ from tmchho.arguments import checked_choice, checked_count, checked_number
 from tmchho.config import options_json
 from tmchho.errors import InvalidArgumentError
 from tmchho.evaluation.area_files import read_areas
-from tmchho.evaluation.areas import Area, AreaStatistics, automatic_areas, measure_areas
+from tmchho.evaluation.areas import Area, automatic_areas, measure_areas
+from tmchho.evaluation.tally import AreaStatistics
 from tmchho.inputs import CloudLike, naming, open_cloud
 from tmchho.results import DistanceStatistics, ReadOnlyArrays, Registration, plain, pose_matrix
 

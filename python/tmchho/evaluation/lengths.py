@@ -1,4 +1,4 @@
-"""Distances that come part by part and are summed up at the end: in memory, or on disk where they are too many."""
+"""Distances that come part by part and are summed up at the end, in memory or on disk."""
 
 from __future__ import annotations
 

@@ -177,9 +177,7 @@ def _cores(pair: TiledPair, tile: int, edge: float) -> Floats:
     low, high = pair.cuts.cell_of(tile)
     lowest, highest = pair.target.lowest, pair.target.highest
     margin = 2 * edge  # more than the diagonal of a voxel
-    points, index = pair.target.within(
-        np.maximum(low, lowest) - margin, np.minimum(high, highest) + margin
-    )
+    points, index = pair.target.within(np.maximum(low, lowest) - margin, np.minimum(high, highest) + margin)
     voxels = _core.RunningVoxels(tuple(lowest), tuple(highest), edge, 2**32 - 2)
     # In the file's order, so that a voxel at the border has the same bits from either side.
     voxels.add(np.ascontiguousarray(points[np.argsort(index)]))

@@ -46,6 +46,8 @@ class StreamedEvaluation:
         What was measured.
     source_to_target, target_to_source : SurfaceDistances
         Of every point, on disk.
+    source_box : tuple of (3,) float64 array
+        Lower and upper corner of the source in target coordinates.
     tolerance : float or None
         As asked for.
     warnings : tuple of str
@@ -57,6 +59,7 @@ class StreamedEvaluation:
     method: DistanceMethod
     source_to_target: SurfaceDistances
     target_to_source: SurfaceDistances
+    source_box: tuple[Floats, Floats]
     tolerance: float | None
     warnings: tuple[str, ...]
     entries: dict[str, Any]
@@ -108,19 +111,7 @@ def evaluate_files(
         for name, start, end in (("source", pair.source, pair.target), ("target", pair.target, pair.source))
     )
     spacing = spacings_at(pair.target, pair.source), spacings_at(pair.source, pair.target)
-    statistics: list[DistanceStatistics | None] = []
-    shares, n_beyond = [], []
-    for distances in (forth, back):
-        summed_up = statistics_of_parts(lambda distances=distances: distances.measured(max_distance))
-        n_measured = 0 if summed_up is None else summed_up.n_points
-        statistics.append(summed_up)
-        n_beyond.append(distances.n_points - n_measured)
-        n_within = 0
-        if tolerance is not None:
-            n_within = sum(
-                int(np.count_nonzero(np.abs(part) <= tolerance)) for part in distances.measured(max_distance)
-            )
-        shares.append(None if tolerance is None or not n_measured else n_within / n_measured)
+    sums = [_summed_up(distances, tolerance, max_distance) for distances in (forth, back)]
     wide = max(wide_spacing(tiled) for tiled in (pair.source, pair.target))
     cell = HOLE_IN_SPACINGS * wide or 1.0  # one point has no spacing
     rows = rows_of_areas(
@@ -134,20 +125,35 @@ def evaluate_files(
         tolerance=tolerance,
         max_distance=max_distance,
     )
-    pairs = (statistics[0], statistics[1])
+    pairs = (sums[0][0], sums[1][0])
     warnings = density_warnings(pairs, spacing) if method == "nearest" else ()
     entries = evaluation_entries(
         method,
         tolerance,
         max_distance,
         pairs,
-        (shares[0], shares[1]),
-        (n_beyond[0], n_beyond[1]),
+        (sums[0][1], sums[1][1]),
+        (sums[0][2], sums[1][2]),
         spacing,
         rows,
         warnings,
     )
-    return StreamedEvaluation(method, forth, back, tolerance, warnings, entries)
+    box = pair.source.lowest, pair.source.highest
+    return StreamedEvaluation(method, forth, back, box, tolerance, warnings, entries)
+
+
+def _summed_up(
+    distances: SurfaceDistances, tolerance: float | None, max_distance: float | None
+) -> tuple[DistanceStatistics | None, float | None, int]:
+    """Return the statistics, the share within the tolerance, and how many points were not measured."""
+    statistics = statistics_of_parts(lambda: distances.measured(max_distance))
+    if statistics is None:
+        return None, None, distances.n_points
+    n_beyond = distances.n_points - statistics.n_points
+    if tolerance is None:
+        return statistics, None, n_beyond
+    within = (np.count_nonzero(np.abs(part) <= tolerance) for part in distances.measured(max_distance))
+    return statistics, int(sum(within)) / statistics.n_points, n_beyond
 
 
 def spacings_at(start: TiledFile, end: TiledFile) -> float:

@@ -44,7 +44,7 @@ class TiledPair:
 def tile_pair(
     source: LasPoints, target: LasPoints, matrix: Floats, folder: Path, max_memory: int
 ) -> TiledPair:
-    """Sort two files into tiles: 16 bytes a point in `folder`; `matrix` takes source to target coordinates."""
+    """Sort two files, the source moved by `matrix`, into tiles: 16 bytes a point in `folder`."""
     thinned: list[ThinnedFile] = [
         thin_file(file, max_voxels=min(_MOST_CENTROIDS, n_centroids(max_memory))) for file in (source, target)
     ]

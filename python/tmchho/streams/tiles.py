@@ -51,7 +51,7 @@ class Cuts:
         return tile << _BLOCK_LEVELS, (tile + 1) << _BLOCK_LEVELS
 
     def cell_of(self, tile: int) -> tuple[Floats, Floats]:
-        """Return the corners of a tile's part of space, infinite at the rim; the lower faces are not in it."""
+        """Return the corners of a tile's part of space, infinite at the rim."""
         low, high = np.full(3, -np.inf), np.full(3, np.inf)
         node = tile + self.n_tiles - 1
         while node:
@@ -164,7 +164,7 @@ class TiledFile:
     def within(
         self, low: Floats, high: Floats, skipped: slice = slice(0)
     ) -> tuple[Floats, NDArray[np.uint32]]:
-        """Return the points in a box, but for those of the blocks `skipped`, and where they stand in the file."""
+        """Return the points in a box, but those of the blocks `skipped`, and where they stand in the file."""
         meets = np.asarray((self.lows <= high).all(axis=1) & (self.highs >= low).all(axis=1))
         meets[skipped] = False
         # Neighbouring blocks are read at once.
