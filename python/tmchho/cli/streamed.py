@@ -28,7 +28,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
     TmchhoError
         As its class says; no file was written then.
     """
-    from tmchho import PointCloud
+    from tmchho import PointCloud, read_areas
     from tmchho.outputs import (
         FUSED,
         REPORT_POINTS,
@@ -62,6 +62,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         assume_same=job.assume_same_crs,
         shown=shown,
     )
+    areas = None if job.areas is None else read_areas(job.areas, target.crs)
     with shown.step("read", "taking checksums"):
         files = (InputFile.of(job.source, len(source)), InputFile.of(job.target, len(target)))
     keeps = [
@@ -113,6 +114,8 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
                 hole_radius=options["hole_radius_m"],
                 max_distance=registration.max_distance,
                 max_memory=max_memory,
+                areas=areas,
+                tolerance=job.tolerance,
             )
         registration = replace(
             registration,
@@ -121,7 +124,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             overlap_of_source=fusion.overlap_of_source,
             overlap_of_target=fusion.overlap_of_target,
         )
-        document = document_of(registration, fusion.report)
+        document = document_of(registration, fusion.report) | fusion.entries
         document["in_parts"] = {
             "max_memory": max_memory,
             "source_voxel_size": found.source.voxel_size,

@@ -22,6 +22,7 @@ from tmchho.evaluation.lengths import Lengths, statistics_of_parts
 from tmchho.evaluation.tally import AreaStatistics, AreaTally
 from tmchho.io.las_stream import LasPoints
 from tmchho.results import DistanceStatistics
+from tmchho.streams.distances import DistanceFile
 from tmchho.streams.memory import default_max_memory
 from tmchho.streams.neighbours import Blocks, spacing_at
 from tmchho.streams.pair import TiledPair, tile_pair, tiles_of
@@ -111,7 +112,7 @@ def evaluate_files(
         for name, start, end in (("source", pair.source, pair.target), ("target", pair.target, pair.source))
     )
     spacing = spacings_at(pair.target, pair.source), spacings_at(pair.source, pair.target)
-    sums = [_summed_up(distances, tolerance, max_distance) for distances in (forth, back)]
+    sums = [summed_up(distances, tolerance, max_distance) for distances in (forth, back)]
     wide = max(wide_spacing(tiled) for tiled in (pair.source, pair.target))
     cell = HOLE_IN_SPACINGS * wide or 1.0  # one point has no spacing
     rows = rows_of_areas(
@@ -142,8 +143,8 @@ def evaluate_files(
     return StreamedEvaluation(method, forth, back, box, tolerance, warnings, entries)
 
 
-def _summed_up(
-    distances: SurfaceDistances, tolerance: float | None, max_distance: float | None
+def summed_up(
+    distances: SurfaceDistances | DistanceFile, tolerance: float | None, max_distance: float | None
 ) -> tuple[DistanceStatistics | None, float | None, int]:
     """Return the statistics, the share within the tolerance, and how many points were not measured."""
     statistics = statistics_of_parts(lambda: distances.measured(max_distance))
@@ -162,6 +163,11 @@ def spacings_at(start: TiledFile, end: TiledFile) -> float:
     return spacing_at(end, feet, lambda n: (n - 1) // 2)
 
 
+def middle_spacing(tiled: TiledFile) -> float:
+    """Return the median distance from a point of a file to the nearest one elsewhere."""
+    return spacing_at(tiled, tiled.sample(_WIDE_PLACES), lambda n: int(0.5 * (n - 1) + 0.5))
+
+
 def wide_spacing(tiled: TiledFile) -> float:
     """Return the spacing that nine points in ten of a file keep to."""
     return spacing_at(tiled, tiled.sample(_WIDE_PLACES), lambda n: int(_MOST * (n - 1) + 0.5))
@@ -169,8 +175,8 @@ def wide_spacing(tiled: TiledFile) -> float:
 
 def rows_of_areas(
     pair: TiledPair,
-    forth: SurfaceDistances,
-    back: SurfaceDistances,
+    forth: SurfaceDistances | DistanceFile,
+    back: SurfaceDistances | DistanceFile,
     folder: Path,
     areas: Sequence[Area] | None,
     *,
