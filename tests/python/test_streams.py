@@ -345,6 +345,7 @@ def test_the_command_works_in_parts_by_itself(
     assert documents[1]["in_parts"]["max_memory"] == 300_000_000
     assert set(documents[0]) < set(documents[1])
     assert_same_areas(*documents)
+    assert "area 1" in (tmp_path / "parts" / "report.html").read_text(encoding="utf-8")
     assert set(documents[0]["fused"]) == set(documents[1]["fused"])
     for name in ("fused.laz", "source_registered.laz"):
         of_whole, of_parts = (tmchho.read(tmp_path / which / name) for which in ("whole", "parts"))

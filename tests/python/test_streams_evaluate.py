@@ -124,6 +124,27 @@ def test_without_a_folder_nothing_stays_behind(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_info_tells_the_same_of_parts(
+    files: tuple[Path, Path, Path], tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    doubled = laspy.read(files[0])
+    doubled.points = laspy.ScaleAwarePointRecord(
+        np.concatenate([doubled.points.array, doubled.points.array[:777]]),
+        doubled.point_format,
+        scales=doubled.header.scales,
+        offsets=doubled.header.offsets,
+    )
+    doubled.write(tmp_path / "doubled.laz")
+    paths = *files[:2], tmp_path / "doubled.laz"
+    whole = run("info", *paths, "--json"), run("info", *paths)
+    request.getfixturevalue("in_parts")
+    parts = run("info", *paths, "--json"), run("info", *paths)
+    assert "in parts" in parts[1].stderr
+    assert json.loads(whole[0].stdout)["files"][2]["wrong"][0].startswith("repeated points: 777")
+    assert_alike(json.loads(parts[0].stdout), json.loads(whole[0].stdout))
+    assert parts[1].stdout == whole[1].stdout
+
+
 def test_neighbours_in_blocks_are_those_of_scipy(
     files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -18,7 +18,7 @@ from tmchho.transform import Transform
 
 Floats = NDArray[np.float64]
 
-_MOST_CENTROIDS = 200_000  # that space is cut by; with 1024 tiles some hundreds for each
+MOST_CENTROIDS = 200_000  # that space is cut by; with 1024 tiles some hundreds for each
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ def tile_pair(
 ) -> TiledPair:
     """Sort two files, the source moved by `matrix`, into tiles: 16 bytes a point in `folder`."""
     thinned: list[ThinnedFile] = [
-        thin_file(file, max_voxels=min(_MOST_CENTROIDS, n_centroids(max_memory))) for file in (source, target)
+        thin_file(file, max_voxels=min(MOST_CENTROIDS, n_centroids(max_memory))) for file in (source, target)
     ]
     transform = about_middle(matrix, (thinned[0].lowest + thinned[0].highest) / 2)
     places = np.concatenate([transform.apply(thinned[0].points), thinned[1].points])
