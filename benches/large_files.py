@@ -128,9 +128,7 @@ def main() -> None:
     parser.add_argument("--max-memory", default="2GB")
     parser.add_argument("--fuse", default="merge")
     parser.add_argument("--read", action="store_true", help="also read one survey as a whole, beside laspy")
-    parser.add_argument(
-        "--evaluate", action="store_true", help="measure them instead, at the pose found"
-    )
+    parser.add_argument("--evaluate", action="store_true", help="measure them instead, at the pose found")
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     source, target = make_surveys(arguments.folder, arguments.millions)

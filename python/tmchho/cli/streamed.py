@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tmchho.cli.crs import crs_name
 from tmchho.cli.display import Display
-from tmchho.cli.workflow import Job, Outcome, check_crs, remove_others
+from tmchho.cli.workflow import Job, Outcome, check_crs, write_results
 from tmchho.errors import BudgetError, WriteError
 
 if TYPE_CHECKING:
@@ -39,7 +39,6 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         pose_files,
         result_document,
         staging,
-        write_together,
     )
     from tmchho.report.described import describe_parts
     from tmchho.report.fused_points import points_of_fused_file
@@ -96,8 +95,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             RESULT: lambda path: path.write_text(text, encoding="utf-8", newline="\n"),
             REPORT_POINTS: points_of(registration, *thinned, None).save,
         }
-        write_together(job.folder, rejected, overwrite=job.overwrite, inputs=paths)
-        return Outcome(registration, document, remove_others(job.folder, rejected))
+        return Outcome(registration, document, write_results(job, rejected))
     options = registration.config["fuse"]
     with staging(job.folder) as scratch:
         with shown.step("fuse", "measuring and fusing in tiles"):
@@ -143,8 +141,8 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             FUSED: lambda path: os.replace(scratch / FUSED, path),
         }
         with shown.step("write", "writing"):
-            write_together(job.folder, outputs, overwrite=job.overwrite, inputs=paths)
-    return Outcome(registration, document, remove_others(job.folder, outputs))
+            written = write_results(job, outputs)
+    return Outcome(registration, document, written)
 
 
 def open_in_parts(path: Path) -> LasPoints:

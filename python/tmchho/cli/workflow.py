@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -265,7 +265,6 @@ def _write(
         json_text,
         moved_source,
         pose_files,
-        write_together,
     )
     from tmchho.report.points import points_of
     from tmchho.transform import Transform
@@ -282,20 +281,17 @@ def _write(
             SOURCE_REGISTERED: lambda path: write(moved, path, like=target),
             FUSED: lambda path: write(merged, path, like=target),
         }
-    write_together(job.folder, files, overwrite=job.overwrite, inputs=(job.source, job.target))
-    return remove_others(job.folder, files)
+    return write_results(job, files)
 
 
-def remove_others(folder: Path, names: Iterable[str]) -> tuple[Path, ...]:
-    """Remove outputs that were not written: left from an earlier run, they would be taken for ours.
+def write_results(job: Job, files: Mapping[str, Callable[[Path], object]]) -> tuple[Path, ...]:
+    """Write the files of a registration, and remove those of an earlier one; return their paths."""
+    from tmchho.outputs import OUTPUTS, REPORT, REPORT_PDF, write_together
 
-    Returns the paths of those that were.
-    """
-    from tmchho.outputs import OUTPUTS, REPORT, REPORT_PDF
-
-    for name in {*OUTPUTS, REPORT, REPORT_PDF} - set(names):
-        (folder / name).unlink(missing_ok=True)
-    return tuple(folder / name for name in OUTPUTS if name in names)
+    paths = (job.source, job.target)
+    others = (*OUTPUTS, REPORT, REPORT_PDF)
+    write_together(job.folder, files, overwrite=job.overwrite, inputs=paths, others=others)
+    return tuple(job.folder / name for name in OUTPUTS if name in files)
 
 
 def _reported(outcome: Outcome, job: Job, shown: Display) -> Outcome:
