@@ -221,7 +221,9 @@ def _evaluate(job: EvaluationJob, shown: Display) -> tuple[dict[str, Any], tuple
     """Measure both files as wholes."""
     from tmchho import evaluate, m3c2, read
     from tmchho.evaluation.files import write_evaluation
+    from tmchho.io.unchanged import Unchanged
 
+    unchanged = Unchanged((job.source, job.target))
     clouds = []
     for path in (job.source, job.target):
         with shown.step("read", f"reading {path}"):
@@ -236,6 +238,7 @@ def _evaluate(job: EvaluationJob, shown: Display) -> tuple[dict[str, Any], tuple
             result = evaluate(source, target, job.matrix, areas=areas, **job.for_distances)
     for warning in result.warnings:
         shown.warn(warning)
+    unchanged.check()
     document = job.document(result)
     written: tuple[Path, ...] = ()
     if job.output is not None:

@@ -107,8 +107,10 @@ def describe_in_parts(path: Path, max_memory: int) -> dict[str, Any]:
     from tmchho.cli.streamed_evaluate import scratch_in
     from tmchho.crs import float32_step
     from tmchho.io import las_parts, open_las
+    from tmchho.room import check_room_for_parts
     from tmchho.streams.summary import summarise
 
+    check_room_for_parts()
     file = open_las(path)
     ranges: dict[str, list[dict[str, Any]]] = {}
     for records in las_parts(file):

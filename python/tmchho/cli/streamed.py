@@ -29,6 +29,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         As its class says; no file was written then.
     """
     from tmchho import PointCloud, read_areas
+    from tmchho.io.unchanged import Unchanged
     from tmchho.outputs import (
         FUSED,
         REPORT_POINTS,
@@ -47,6 +48,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
     from tmchho.transform import Transform
 
     paths = (job.source, job.target)
+    unchanged = Unchanged(paths)
     source, target = (open_in_parts(path) for path in paths)
     if source.header.has_waveforms:
         raise WriteError(
@@ -95,6 +97,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             RESULT: lambda path: path.write_text(text, encoding="utf-8", newline="\n"),
             REPORT_POINTS: points_of(registration, *thinned, None).save,
         }
+        unchanged.check()
         return Outcome(registration, document, write_results(job, rejected))
     options = registration.config["fuse"]
     with staging(job.folder) as scratch:
@@ -140,6 +143,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             SOURCE_REGISTERED: lambda path: os.replace(scratch / SOURCE_REGISTERED, path),
             FUSED: lambda path: os.replace(scratch / FUSED, path),
         }
+        unchanged.check()
         with shown.step("write", "writing"):
             written = write_results(job, outputs)
     return Outcome(registration, document, written)
@@ -148,7 +152,9 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
 def open_in_parts(path: Path) -> LasPoints:
     """Open a file that is too large to be read as a whole; `BudgetError` if it is neither LAS nor LAZ."""
     from tmchho.io import is_las, open_las
+    from tmchho.room import check_room_for_parts
 
+    check_room_for_parts()
     if not is_las(path):
         raise BudgetError(
             f"{path}: together with the other file needs more memory than is allowed, and only LAS and "

@@ -27,8 +27,10 @@ def evaluate_in_parts(
     TmchhoError
         As its class says; no file was written then.
     """
+    from tmchho.io.unchanged import Unchanged
     from tmchho.streams import evaluate_files, m3c2_files, write_streamed_evaluation
 
+    unchanged = Unchanged((job.source, job.target))
     source, target = (open_in_parts(path) for path in (job.source, job.target))
     shown.note(
         f"{len(source):,} and {len(target):,} points do not fit into {max_memory / 1e9:.3g} GB: "
@@ -60,6 +62,7 @@ def evaluate_in_parts(
                 )
         for warning in result.warnings:
             shown.warn(warning)
+        unchanged.check()
         document = job.document(result)
         written: tuple[Path, ...] = ()
         if job.output is not None:

@@ -103,12 +103,14 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
     """
     from tmchho import fuse, read_areas
     from tmchho.evaluation import distance_entries
+    from tmchho.io.unchanged import Unchanged
     from tmchho.outputs import OUTPUTS, REPORT, InputFile, check_folder, fused_counts, result_document
     from tmchho.report.described import describe
     from tmchho.streams import default_max_memory, needs_streams
 
     paths = (job.source, job.target)
     check_folder(job.folder, names=(*OUTPUTS, REPORT), overwrite=job.overwrite, inputs=paths)
+    unchanged = Unchanged(paths)
     allowed = default_max_memory() if job.max_memory is None else job.max_memory
     if remarks is None and needs_streams(paths, allowed):
         from tmchho.cli.streamed import run_streamed
@@ -144,6 +146,7 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
             document |= distance_entries(registration, source, target, fused, areas, job.tolerance)
     if remarks is not None:
         document |= remarks(source, registration)
+    unchanged.check()
     with shown.step("write", "writing"):
         written = _write(job, registration, source, target, fused, document)
     return _reported(Outcome(registration, document, written), job, shown)

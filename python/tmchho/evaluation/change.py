@@ -18,6 +18,7 @@ from tmchho.evaluation.distances import AreasLike, given_areas_of
 from tmchho.evaluation.tally import AreaStatistics
 from tmchho.inputs import CloudLike, naming, open_cloud, open_points
 from tmchho.results import DistanceStatistics, ReadOnlyArrays, Registration, plain, pose_matrix
+from tmchho.room import check_room
 
 # Where more cores than this see too few points, a level of detection is missing for too much of the site.
 _FEW_POINTS_SHARE = 0.2
@@ -256,6 +257,7 @@ def m3c2(
     source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
     places = None if cores is None else open_points(cores, "cores")
     given_areas = given_areas_of(areas, target_cloud.crs)
+    check_room(len(source_cloud) + len(target_cloud))
     with naming(source_cloud, target_cloud):
         found = _core.m3c2(source_cloud.xyz, target_cloud.xyz, matrix, places, options)
     distance, level = found["distance"], found["level_of_detection"]

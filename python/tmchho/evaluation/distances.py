@@ -19,6 +19,7 @@ from tmchho.evaluation.areas import Area, automatic_areas, measure_areas
 from tmchho.evaluation.tally import AreaStatistics
 from tmchho.inputs import CloudLike, naming, open_cloud
 from tmchho.results import DistanceStatistics, ReadOnlyArrays, Registration, plain, pose_matrix
+from tmchho.room import check_room
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -203,6 +204,7 @@ def evaluate(
     options = compare_options(method, n_neighbors, tolerance, max_distance)
     source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
     given_areas = given_areas_of(areas, target_cloud.crs)
+    check_room(len(source_cloud) + len(target_cloud))
     with naming(source_cloud, target_cloud):
         found = _core.evaluate(source_cloud.xyz, target_cloud.xyz, matrix, options)
     forth, back = found["source_to_target"], found["target_to_source"]
