@@ -99,7 +99,7 @@ class RobustSearchOptions:
     n_verified : int, optional
         Poses of each round that are refined and verified, at least 1.
     descriptors : bool, optional
-        Propose poses by descriptors of the surface as well, from the second round on.
+        Propose poses by descriptors of the surface as well, in a round of its own after the first.
     max_seconds : float, optional
         Seconds from the beginning of the registration, above 0, after which the search hands over the best
         pose so far. No limit where not given. What is found then depends on the machine.
