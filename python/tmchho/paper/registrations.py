@@ -121,7 +121,9 @@ def bring_back(pair: Pair, away: Array, job: Job, should_stop: ShouldStop) -> Re
     return result
 
 
-def search(source: Array, target: Array, job: Job, should_stop: ShouldStop) -> Registration:
+def search(
+    source: Array, target: Array, job: Job, should_stop: ShouldStop, *, n_threads: int = 1
+) -> Registration:
     """Minimise Eq. (1) between keypoints that are at hand already.
 
     Parameters
@@ -131,6 +133,8 @@ def search(source: Array, target: Array, job: Job, should_stop: ShouldStop) -> R
     job : dict
         ``method``, ``seed``, ``n_population`` and ``n_iterations``.
     should_stop : callable
+    n_threads : int
+        By how many threads: one, because the command does several jobs at a time.
 
     Returns
     -------
@@ -147,7 +151,7 @@ def search(source: Array, target: Array, job: Job, should_stop: ShouldStop) -> R
             "method": job["method"],
             "hawks": {"n_hawks": job["n_population"], "n_iterations": job["n_iterations"]},
         },
-        "n_threads": 1,
+        "n_threads": n_threads,
     }
     return register(
         source,
