@@ -25,6 +25,8 @@ from tmchho.progress import ProgressCallback
 
 _DEATHS = 3  # of workers that had the same unit: the unit is to blame then, not the workers
 _WAIT = "60s"
+# A terminal sends Ctrl-C to all processes; this one alone decides what ends, and in what order.
+_LEAVE_INTERRUPTS = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 
 
 @contextmanager
@@ -85,6 +87,7 @@ def local_cluster(
             memory_limit="auto" if memory_per_worker is None else memory_per_worker,
             dashboard_address="127.0.0.1:0",
             local_directory=scratch,
+            preload=[_LEAVE_INTERRUPTS],
         ) as processes,
         distributed.Client(processes, set_as_default=False) as client,
     ):

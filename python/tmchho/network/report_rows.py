@@ -57,6 +57,9 @@ def station_rows(
                 len(kept),
                 held,
                 note,
+                None
+                if pose is None
+                else found.frame.world_origin + applied(pose, material.bodies.middles[number]),
             )
         )
     return tuple(rows)

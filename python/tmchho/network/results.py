@@ -40,6 +40,8 @@ class PlacedStation(ReadOnlyArrays):
         Whether it was held as given, or gives the frame where nothing else does.
     note : str
         What a person should know of it; empty where nothing.
+    middle_m : (3,) float64 array or None
+        The middle of its cloud in the world, which the standard errors are of.
     """
 
     name: str
@@ -53,6 +55,7 @@ class PlacedStation(ReadOnlyArrays):
     n_links: int
     fixed: bool
     note: str
+    middle_m: NDArray[np.float64] | None
 
 
 @dataclass(frozen=True, eq=False)

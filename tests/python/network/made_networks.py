@@ -39,6 +39,7 @@ def made_station(number: int, n_stations: int, note: str = "", placed: bool = Tr
         n_links=2 if placed else 0,
         fixed=number == 0,
         note=note,
+        middle_m=pose[:3, 3].copy() if placed else None,
     )
 
 

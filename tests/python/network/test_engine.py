@@ -138,28 +138,38 @@ def test_a_listener_that_answers_true_stops_the_run_and_what_runs(
         _wait_for(stopped.exists)
 
 
-def test_ctrl_c_ends_a_run_soon(tmp_path: Path) -> None:
+@pytest.mark.parametrize("engine", ["nullcontext(InProcess(2))", "local_cluster(2)"])
+def test_ctrl_c_ends_a_run_soon(tmp_path: Path, engine: str) -> None:
     script = (
         "import sys, network_units\n"
+        "from contextlib import nullcontext\n"
         "from pathlib import Path\n"
+        "from tmchho.network.cluster import local_cluster\n"
         "from tmchho.network.engine import InProcess\n"
-        "folder = Path(sys.argv[1])\n"
-        "names = ('begun', 'stopped')\n"
-        "items = [{name: str(folder / f'{name}-{n}') for name in names} for n in range(9)]\n"
-        "InProcess(2).run('waiting', network_units.until_stopped, items)\n"
+        "if __name__ == '__main__':\n"
+        "    folder, names = Path(sys.argv[1]), ('begun', 'stopped')\n"
+        "    items = [{name: str(folder / f'{name}-{n}') for name in names} for n in range(9)]\n"
+        f"    with {engine} as engine:\n"
+        "        engine.run('waiting', network_units.until_stopped, items)\n"
     )
+    (tmp_path / "script.py").write_text(script)
+    folder = tmp_path / "seen"
+    folder.mkdir()
     process = subprocess.Popen(
-        [sys.executable, "-c", script, str(tmp_path)],
-        cwd=Path(__file__).parent,
+        [sys.executable, str(tmp_path / "script.py"), str(folder)],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     )
-    _wait_for((tmp_path / "begun-1").exists)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=30)
-    assert "KeyboardInterrupt" in said
-    # The two that ran were stopped; those that waited never began.
-    assert {path.name for path in tmp_path.iterdir()} == {"begun-0", "begun-1", "stopped-0", "stopped-1"}
+    _wait_for(lambda: len(list(folder.glob("begun-*"))) >= 2, 60.0)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does it: to this process and all that it started
+    _, said = process.communicate(timeout=60)
+    assert said.count("KeyboardInterrupt") == 1
+    # Those that ran were stopped; those that waited never began.
+    begun = {path.name.removeprefix("begun-") for path in folder.glob("begun-*")}
+    assert begun == {path.name.removeprefix("stopped-") for path in folder.glob("stopped-*")}
+    assert len(begun) < 9
 
 
 def test_an_address_where_nothing_answers_is_said() -> None:

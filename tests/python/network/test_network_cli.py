@@ -20,6 +20,7 @@ from made_networks import made_network, make_clouds
 
 import tmchho
 from tmchho.cli import main
+from tmchho.network.cluster import local_cluster
 from tmchho.network.files import links_csv, network_document, pose_names, write_network
 
 N_CLOUDS = 3
@@ -71,6 +72,11 @@ def test_all_files_are_there_and_hold_the_poses(finished: Path) -> None:
         np.testing.assert_allclose(pose.matrix, found[number], atol=1e-15)
         text = tmchho.read_transform(finished / "poses" / f"S{number + 1}.txt")
         np.testing.assert_array_equal(text.matrix, found[number])
+    for station, pose, cloud in zip(document["stations"], found, make_clouds(N_CLOUDS)[0], strict=True):
+        middle = np.linalg.inv(pose) @ [*station["middle_m"], 1.0]
+        np.testing.assert_allclose(
+            middle[:2], cloud[:, :2].mean(axis=0), atol=0.3
+        )  # of voxels, not of points
     # Two points of the same ground come to lie on each other.
     assert len(tmchho.read(finished / "fused.laz")) == document["fused"]["n_points"]
     assert document["fused"]["stations"][1]["rms"] < 0.15
@@ -126,6 +132,18 @@ def test_a_local_cluster_leaves_the_same_bytes(scans: list[Path], finished: Path
     assert bytes_of(folder) == bytes_of(finished)
 
 
+def test_a_scheduler_address_leaves_the_same_tables(
+    scans: list[Path], finished: Path, tmp_path: Path
+) -> None:
+    with local_cluster(1) as cluster:
+        address = cluster.client.scheduler.address
+        result = run(*scans, "-o", tmp_path / "out", "--scheduler", address, "--no-report")
+    assert result.exit_code == 0, result.output
+    assert f"{address}: 1 units at a time" in result.output
+    for name in ("links.csv", "stations.csv", "poses/S2.json"):
+        assert (tmp_path / "out" / name).read_bytes() == (finished / name).read_bytes()
+
+
 def test_killed_at_random_moments_resume_leaves_the_same_bytes(
     scans: list[Path], finished: Path, tmp_path: Path
 ) -> None:
@@ -135,7 +153,7 @@ def test_killed_at_random_moments_resume_leaves_the_same_bytes(
     generator = random.Random(5)
     work = folder / "work" / "finished"
     n_killed = 0
-    while n_killed < 3:
+    while n_killed < 2:
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         n_entries = len(list(work.rglob("*.json")))
         goal = n_entries + generator.randint(1, 4)
