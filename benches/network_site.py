@@ -4,9 +4,9 @@
         [--points 60000] [--workers 2] [--first-seed 0]
 
 Each seed makes a site, its surveys and their frames. A station is right if the root mean squared displacement
-of its points, by its pose and after the whole network was brought onto the truth by one of its stations,
-is within a third of the voxel. Two stations see equal piers and little else, which the loops have to find out. The table goes to
-standard output as Markdown.
+of its points, by its pose and after the whole network was brought onto the truth by one of its stations, is
+within a third of the voxel. Two stations see equal piers and little else, which the loops have to find out.
+The table goes to standard output as Markdown.
 """
 
 from __future__ import annotations
