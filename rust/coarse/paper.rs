@@ -5,6 +5,7 @@
 
 use std::f64::consts::PI;
 use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use serde::{Deserialize, Serialize};
 
@@ -104,6 +105,7 @@ pub fn search_paper(
             .map(|i| centred[i])
             .collect(),
         target: NeighborIndex::new(&about(target, target_middle)),
+        n_searches: AtomicUsize::new(0),
     };
     let optimizer = options.method.with_hawks(&options.hawks)?;
     let found = optimizer.minimize_from(&objective, &search_box, seed, &[], &mut |report| {
@@ -132,6 +134,7 @@ pub fn search_paper(
         ambiguity_ratio: f64::NAN,
         chance_score: f64::NAN,
         n_evaluations: found.n_evaluations,
+        searches_spared: objective.spared(found.n_evaluations),
         history: found.history,
         n_rounds: found.n_iterations,
         ended_early: false,
@@ -147,6 +150,16 @@ fn pose_of(x: &[f64]) -> Rigid {
 struct RmsOfPose {
     source: Vec<Point>,
     target: NeighborIndex,
+    /// Nearest points sought so far.
+    n_searches: AtomicUsize,
+}
+
+impl RmsOfPose {
+    /// The share of searches that were spared in so many evaluations.
+    fn spared(&self, n_evaluations: usize) -> f64 {
+        let n_all = (n_evaluations * self.source.len()) as f64;
+        1.0 - self.n_searches.load(Ordering::Relaxed) as f64 / n_all
+    }
 }
 
 impl Objective for RmsOfPose {
@@ -155,7 +168,9 @@ impl Objective for RmsOfPose {
     }
 
     fn evaluate_below(&self, x: &[f64], limit: f64) -> f64 {
-        rms_below(&self.source, &self.target, &pose_of(x), limit)
+        let (rms, n_searches) = rms_below(&self.source, &self.target, &pose_of(x), limit);
+        self.n_searches.fetch_add(n_searches, Ordering::Relaxed);
+        rms
     }
 }
 
@@ -188,6 +203,11 @@ mod tests {
             );
             assert!((again + best.score).abs() < 1e-12);
             assert_eq!(found.history.len(), 20);
+            assert!(
+                (0.0..1.0).contains(&found.searches_spared),
+                "{method:?} {}",
+                found.searches_spared
+            );
             scores.push(best.score);
         }
         scores.sort_by(f64::total_cmp);

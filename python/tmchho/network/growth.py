@@ -33,6 +33,9 @@ Array = NDArray[np.float64]
 N_SCREENED = 12
 N_TRIED = 5
 MAX_ROUNDS = 3
+# A thorough search costs ten times as much as a quick one.
+N_THOROUGH = 3
+MAX_THOROUGH_ROUNDS = 2
 # A station is sought at once in a block up to so many times its size; a smaller one asks others first.
 MAX_SIZE_RATIO = 4.0
 # Standard deviations of where a pair is looked for that overlaps as its stations are placed.
@@ -117,13 +120,14 @@ class Growth:
         self.spread()
         votes: list[list[int]] | None = None
         for turn in range(MAX_ROUNDS):
-            doubtful = sorted(set(range(len(self.material))) - self.sure())
-            if not doubtful:
-                return
+            # A station that is placed, though not confirmed, asks once; one that is lost goes on.
+            asking = self.lost() if turn else sorted(set(range(len(self.material))) - self.sure())
+            if not asking:
+                break
             votes = votes or voted_pairs(self.material.described)
-            self.register(self._best_voted(doubtful, votes, turn), quick=True)
+            self.register(self._best_voted(asking, votes, turn), quick=True)
             self.spread()
-        for turn in range(MAX_ROUNDS):
+        for turn in range(MAX_THOROUGH_ROUNDS):
             lost = self.lost()
             if not lost:
                 return
@@ -265,13 +269,13 @@ class Growth:
         reaches = self.material.reaches
         return bool(max(reaches[a], reaches[b]) <= MAX_SIZE_RATIO * min(reaches[a], reaches[b]))
 
-    def _best_voted(self, lost: Sequence[int], votes: Sequence[Sequence[int]], turn: int) -> set[Pair]:
-        """Return for each lost station the pairs that look best among those that the votes name."""
+    def _best_voted(self, asking: Sequence[int], votes: Sequence[Sequence[int]], turn: int) -> set[Pair]:
+        """Return for each station that asks the pairs that look best among those that the votes name."""
         named = {
             station: [k for k in votes[station] if k not in self.material.blocks][
                 turn * N_SCREENED : (turn + 1) * N_SCREENED
             ]
-            for station in lost
+            for station in asking
             if station not in self.material.blocks
         }
         self._screen({ordered(station, k) for station, others in named.items() for k in others})
@@ -290,7 +294,7 @@ class Growth:
             pairs = [pair for pair in self.screened if station in pair]
             pairs += [ordered(station, block) for block in sorted(self.material.blocks) if block != station]
             pairs.sort(key=lambda pair: -self.screened.get(pair, {"n_agreeing": 1 << 30})["n_agreeing"])
-            chosen |= set(pairs[turn * N_TRIED : (turn + 1) * N_TRIED])
+            chosen |= set(pairs[turn * N_THOROUGH : (turn + 1) * N_THOROUGH])
         return chosen
 
     def _screen(self, pairs: set[Pair]) -> None:

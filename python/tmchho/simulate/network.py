@@ -124,7 +124,7 @@ def make_network(
         )
         seen = survey_scanner(
             replace(site, scanner_area=window),
-            stations=[eye[:2]],
+            stations=eye[None, :2],
             n_points=n_points,
             max_range_m=reach,
             seed=seed + 1000 * (number + 1),
