@@ -291,7 +291,6 @@ fn route(
         ended_early: found.ended_early,
         uncertainty,
         n_evaluations: found.n_evaluations,
-        searches_spared: found.searches_spared,
         history: found.history,
         icp_stop: fine.stop_reason,
         n_icp_iterations: fine.n_iterations,

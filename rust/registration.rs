@@ -78,9 +78,6 @@ pub struct Registration {
     pub candidates: Vec<(Similarity, f64)>,
     /// Poses for which the clouds were compared during the search.
     pub n_evaluations: usize,
-    /// Share of the searches for nearest points that early abandonment spared in paper mode, which changes
-    /// nothing else; NaN in robust mode.
-    pub searches_spared: f64,
     /// Best score of the search so far, step by step.
     pub history: Vec<f64>,
     /// Why ICP ended.

@@ -190,9 +190,6 @@ class Registration(ReadOnlyArrays):
         The best poses found, best first, before ICP.
     n_evaluations : int
         Poses for which the clouds were compared during the search.
-    searches_spared : float
-        Share of the searches for nearest points that early abandonment spared in paper mode, which changes
-        nothing else; NaN in robust mode.
     history : (n,) float64 array
         Best score of the search so far, step by step; in paper mode the RMS of Eq. (1).
     converged : bool
@@ -259,7 +256,6 @@ class Registration(ReadOnlyArrays):
     ended_early: bool
     candidates: tuple[Candidate, ...]
     n_evaluations: int
-    searches_spared: float
     history: NDArray[np.float64]
     converged: bool
     icp_stop_reason: str

@@ -50,9 +50,6 @@ pub struct CoarseResult {
     pub chance_score: f64,
     /// Poses for which the clouds were compared, every step of every descent counted.
     pub n_evaluations: usize,
-    /// Share of the searches for nearest points that were spared because a pose was already certain to be
-    /// no better, which changes nothing else; NaN in robust mode.
-    pub searches_spared: f64,
     /// Best score so far, after each verified pose (robust) or iteration (paper).
     pub history: Vec<f64>,
     /// Rounds of starts that were needed (robust) or iterations made (paper).

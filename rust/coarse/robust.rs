@@ -247,7 +247,6 @@ pub fn search_robust(
         chance_score: verifier.chance_score(seed),
         candidates,
         n_evaluations,
-        searches_spared: f64::NAN,
         history: verifier.history,
         n_rounds,
         ended_early: !stands_out && deadline.is_over(),

@@ -67,7 +67,6 @@ fn registration(py: Python<'_>, found: Registration) -> PyResult<Bound<'_, PyDic
         "held_out_ratio": found.held_out_ratio,
         "misfit": found.misfit,
         "ended_early": found.ended_early,
-        "searches_spared": found.searches_spared,
         "scale": found.target_from_source.scale,
         "scale_standard_error": uncertainty.and_then(|u| u.scale_standard_error),
         "registration_error": uncertainty.map(|u| u.registration_error_m),
