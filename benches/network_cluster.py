@@ -100,7 +100,7 @@ def measure_pairs(paths: list[Path], n_pairs: int, folder: Path) -> bool:
 
     print(f"\n{len(items)} pairs, load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors\n")
     print(
-        "| where | seconds | speed-up | processor seconds, all together | speed-up if shared evenly | same results |"
+        "| where | seconds | speed-up | processor seconds, all | speed-up if shared evenly | same results |"
     )
     print("|---|---|---|---|---|---|")
     engine = InProcess(1, threads_of_unit=1)

@@ -71,6 +71,13 @@ def deadly_once(item: dict[str, Any]) -> dict[str, Any]:
     return squared(item)
 
 
+def greedy(item: dict[str, Any]) -> dict[str, Any]:
+    """Take more memory than a worker may have, and keep it for a while."""
+    taken = np.ones(item["n_bytes"] // 8)
+    time.sleep(item["seconds"])
+    return {"sum": float(taken.sum())}
+
+
 def deadly(item: dict[str, Any]) -> dict[str, Any]:
     os.kill(os.getpid(), signal.SIGKILL)
     return item

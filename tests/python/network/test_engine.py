@@ -16,6 +16,7 @@ from network_units import (
     begun_or_waiting,
     deadly,
     deadly_once,
+    greedy,
     normal_equations,
     not_plain,
     refused,
@@ -136,6 +137,16 @@ def test_a_listener_that_answers_true_stops_the_run_and_what_runs(
             engine.run("waiting", begun_or_waiting, [{"wait_for": str(begun)}, *waiting])
         engine.progress = None
         _wait_for(stopped.exists)
+
+
+def test_a_worker_that_takes_more_memory_than_it_may_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tmchho.network.cluster._DEATHS", 0)
+    items = [{"n_bytes": 900_000_000, "seconds": 30.0}]
+    with (
+        local_cluster(1, memory_per_worker=600_000_000) as cluster,
+        pytest.raises(BudgetError, match="allow more for each worker"),
+    ):
+        cluster.run("hoarding", greedy, items)
 
 
 @pytest.mark.parametrize("engine", ["nullcontext(InProcess(2))", "local_cluster(2)"])
