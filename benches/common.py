@@ -55,14 +55,7 @@ class KnownPair:
         Turned over all of SO(3) and shifted by up to one diagonal; with 4 degrees of freedom turned about the
         vertical only, with 7 also shrunk or grown.
         """
-        rng = np.random.default_rng(seed)
-        away = random_pose(rng, self.diagonal)
-        if dof == 4:
-            yaw = rng.uniform(0, 2 * np.pi)
-            cos, sin = np.cos(yaw), np.sin(yaw)
-            away[:3, :3] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
-        if dof == 7:
-            away[:3, :3] *= MAX_SCALE ** rng.uniform(-1, 1)
+        away = pose_away(seed, self.diagonal, dof)
         return moved(away, self.source), self.target_from_source @ np.linalg.inv(away)
 
     def is_right(self, found: Array, wanted: Array, source: Array) -> bool:
@@ -73,6 +66,19 @@ class KnownPair:
             and translation <= self.tolerance_m
             and abs(scale_of(found) / scale_of(wanted) - 1) <= SCALE_TOLERANCE
         )
+
+
+def pose_away(seed: int, max_shift: float, dof: int = 6) -> Array:
+    """Draw a rigid pose; turned about the vertical only with 4 degrees of freedom, scaled as well with 7."""
+    rng = np.random.default_rng(seed)
+    away = random_pose(rng, max_shift)
+    if dof == 4:
+        yaw = rng.uniform(0, 2 * np.pi)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        away[:3, :3] = [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]
+    if dof == 7:
+        away[:3, :3] *= MAX_SCALE ** rng.uniform(-1, 1)
+    return away
 
 
 def diagonal_of(points: Array) -> float:

@@ -105,7 +105,7 @@ fn route(
 
     let mut best: Option<(Prepared, CoarseResult)> = None;
     let scales = search::scales(&config)?;
-    let enough = search::enough(&config).in_first_round();
+    let enough = search::enough(&config).early();
     let search_config = match scales.len() {
         1 => config.clone(),
         _ => search::at_each_scale(&config),

@@ -59,6 +59,7 @@ impl Stream {
     }
 
     /// N(0, 1).
+    #[inline]
     pub fn normal(&mut self) -> f64 {
         StandardNormal.sample(&mut self.generator)
     }

@@ -99,7 +99,7 @@ class RobustSearchOptions:
     n_verified : int, optional
         Poses of each round that are refined and verified, at least 1.
     descriptors : bool, optional
-        Propose poses by descriptors of the surface as well, from the second round on.
+        Propose poses by descriptors of the surface as well, in a round of its own after the first.
     max_seconds : float, optional
         Seconds from the beginning of the registration, above 0, after which the search hands over the best
         pose so far. No limit where not given. What is found then depends on the machine.
@@ -187,8 +187,11 @@ class IcpOptions:
     kept_share : float, optional
         Share of the pairs that count, closest first, in (0, 1]. Where not given, estimated from their
         distances for the methods with planes, all for point-to-point.
+    coarse_to_fine : bool, optional
+        Whether samples of the source, each eight times as large as the one before, come to rest before all
+        its points do. Where not given, yes in robust mode and no in paper mode.
     max_iterations : int, optional
-        At least 1.
+        At least 1; of every sample as well.
     relative_tolerance : float, optional
         Stop when the mean squared distance changes by less than this share of itself.
     """
@@ -197,6 +200,7 @@ class IcpOptions:
     kernel: Literal["least_squares", "tukey"] | None = None
     max_distance_m: float | None = None
     kept_share: float | None = None
+    coarse_to_fine: bool | None = None
     max_iterations: int | None = None
     relative_tolerance: float | None = None
 

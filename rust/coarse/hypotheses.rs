@@ -23,7 +23,7 @@ const VOXEL: f64 = 0.02;
 const NORMAL_RADIUS: f64 = 0.03;
 const RADIUS: f64 = 0.075;
 /// Matching costs the product of the numbers of points: larger clouds are described more coarsely.
-const MAX_PRODUCT: f64 = 1e8;
+const MAX_PRODUCT: f64 = 3e7;
 
 const MAX_MATCHES: usize = 2000;
 const N_SEEDS: usize = 200;
@@ -61,14 +61,15 @@ pub(super) fn propose(
         )
     };
     let mut voxel_m = VOXEL * unit_m;
-    let (mut a, mut b) = (describe(moving, voxel_m)?, describe(fixed, voxel_m)?);
-    let product = a.len() as f64 * b.len() as f64;
+    let count = |cloud: &SurfaceCloud| cloud.one_for_each_cell(voxel_m).len() as f64;
+    let product = count(moving) * count(fixed);
     if product > MAX_PRODUCT {
         // Points grow with the square of the voxel's edge, their product with the fourth power.
         voxel_m *= (product / MAX_PRODUCT).powf(0.25);
-        (a, b) = (describe(moving, voxel_m)?, describe(fixed, voxel_m)?);
     }
-    let matches = mutual_matches(&a, &b);
+    let (a, b) = parallel::both(|| describe(moving, voxel_m), || describe(fixed, voxel_m));
+    let (a, b) = (a?, b?);
+    let matches = mutual_matches(&a.descriptors, &b.descriptors);
     let tolerance_m = TOLERANCE_IN_VOXELS * voxel_m;
     let graph = Graph::new(&a, &b, &matches, tolerance_m, freedom);
     progress.check()?;
@@ -95,38 +96,56 @@ pub(super) fn propose(
 }
 
 /// Pairs of points that are each other's most similar one, the most similar pairs first.
-fn mutual_matches(a: &Described, b: &Described) -> Vec<(u32, u32)> {
-    let forth = most_similar(&a.descriptors, &b.descriptors);
-    let back = most_similar(&b.descriptors, &a.descriptors);
+fn mutual_matches(a: &[Descriptor], b: &[Descriptor]) -> Vec<(u32, u32)> {
+    let parts = a.len().div_ceil(PART);
+    let found = parallel::map(parts, |part| {
+        let first = part * PART;
+        most_similar(&a[first..a.len().min(first + PART)], b)
+    });
+    // Of equals the first wins: parts come in order.
+    let mut back = vec![NOBODY; b.len()];
+    for (part, (_, from_b)) in found.iter().enumerate() {
+        for (best, (score, i)) in back.iter_mut().zip(from_b) {
+            if *score > best.0 {
+                *best = (*score, (part * PART) as u32 + i);
+            }
+        }
+    }
+    let forth = found.into_iter().flat_map(|(from_a, _)| from_a);
     let mut mutual: Vec<(f32, u32, u32)> = (0_u32..)
-        .zip(&forth)
+        .zip(forth)
         .filter(|(i, (_, j))| back.get(*j as usize).is_some_and(|(_, k)| k == i))
-        .map(|(i, (score, j))| (*score, i, *j))
+        .map(|(i, (score, j))| (score, i, j))
         .collect();
     mutual.sort_by(|a, b| b.0.total_cmp(&a.0));
     mutual.truncate(MAX_MATCHES);
     mutual.into_iter().map(|(_, i, j)| (i, j)).collect()
 }
 
-/// For each of `from` the most similar of `to`, in blocks that stay in the cache.
-fn most_similar(from: &[Descriptor], to: &[Descriptor]) -> Vec<(f32, u32)> {
+/// Descriptors of one cloud that are compared in one piece of work.
+const PART: usize = 512;
+/// How similar the most similar one is, and which it is.
+type MostSimilar = (f32, u32);
+const NOBODY: MostSimilar = (f32::NEG_INFINITY, u32::MAX);
+
+/// For each of either side the most similar of the other, in blocks that stay in the cache.
+fn most_similar(a: &[Descriptor], b: &[Descriptor]) -> (Vec<MostSimilar>, Vec<MostSimilar>) {
     const BLOCK: usize = 128;
-    let blocks = parallel::map(from.len().div_ceil(BLOCK), |block| {
-        let from = &from[block * BLOCK..((block + 1) * BLOCK).min(from.len())];
-        let mut best = vec![(f32::NEG_INFINITY, u32::MAX); from.len()];
-        for (first, to) in to.chunks(BLOCK).enumerate() {
-            for (best, a) in best.iter_mut().zip(from) {
-                for (j, b) in to.iter().enumerate() {
-                    let score = similarity(a, b);
-                    if score > best.0 {
-                        *best = (score, (first * BLOCK + j) as u32);
-                    }
+    let (mut of_a, mut of_b) = (vec![NOBODY; a.len()], vec![NOBODY; b.len()]);
+    for (block, (b, of_b)) in b.chunks(BLOCK).zip(of_b.chunks_mut(BLOCK)).enumerate() {
+        for (i, (a, of_a)) in (0_u32..).zip(a.iter().zip(&mut of_a)) {
+            for (j, (b, of_b)) in b.iter().zip(of_b.iter_mut()).enumerate() {
+                let score = similarity(a, b);
+                if score > of_a.0 {
+                    *of_a = (score, (block * BLOCK + j) as u32);
+                }
+                if score > of_b.0 {
+                    *of_b = (score, i);
                 }
             }
         }
-        best
-    });
-    blocks.into_iter().flatten().collect()
+    }
+    (of_a, of_b)
 }
 
 /// Which matches agree with which, a bit each.

@@ -13,7 +13,7 @@ pub struct RobustSearchOptions {
     pub rotations_per_round: Vec<usize>,
     /// Poses of each round that are refined and verified; at least 1.
     pub n_verified: usize,
-    /// Whether poses are also proposed by descriptors, in the second round.
+    /// Whether poses are also proposed by descriptors, in a round of its own after the first.
     pub descriptors: bool,
     /// Seconds after which the search hands over the best pose so far, counted from the beginning
     /// of the registration; above 0. `None` for no limit. What is found then depends on the

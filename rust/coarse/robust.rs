@@ -8,8 +8,9 @@
 
 use super::explore::Explorer;
 use super::hypotheses;
+use super::starts::{self, Starts};
 use super::verify::{Knowledge, Verifier};
-use super::{Candidate, CoarseResult, RobustSearchOptions, starts};
+use super::{Candidate, CoarseResult, RobustSearchOptions};
 use crate::deadline::Deadline;
 use crate::error::{Error, Result, require_positive};
 use crate::fitness::Witnesses;
@@ -23,26 +24,14 @@ use crate::rigid::Rigid;
 pub(crate) const N_WITNESSES: usize = 3000;
 pub(crate) const WITNESS_RADIUS: f64 = 0.035;
 
-/// Distance of the places where the moving cloud may belong, in the first rounds and in later ones.
-const PITCH: [f64; 2] = [0.2, 0.15];
-const N_FIRST_ROUNDS: usize = 2;
-const REACH: f64 = 0.4;
-const JITTER: f64 = 0.05;
-/// Points of the fixed cloud from which places are derived.
-const N_PLACES_FROM: usize = 4000;
-
-/// The round in which descriptors propose poses, and which share of those looked at they are.
-const DESCRIPTORS_IN_ROUND: usize = 1;
-const PROPOSED: usize = 4;
-
 /// Starts round a pose that is known.
 const N_NEAR_KNOWN: usize = 64;
 
-/// The first round looks at this share of the poses of the others.
-const FIRST_ROUND: usize = 4;
-/// After the first round, which has met few rivals, the best pose must stand out by more.
-const FIRST_ROUND_SHARE: f64 = 0.75;
-const FIRST_ROUND_RATIO: f64 = 2.5;
+/// Early rounds look at this share of the poses of the others.
+const EARLY: usize = 4;
+/// After early rounds, which have met few rivals, the best pose must stand out by more.
+const EARLY_SHARE: f64 = 0.75;
+const EARLY_RATIO: f64 = 2.5;
 
 /// When a pose stands out, so that the search may end.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,10 +46,10 @@ pub struct StandingOut {
 
 impl StandingOut {
     /// The same for a search that has met few rivals yet.
-    pub fn in_first_round(self) -> Self {
+    pub fn early(self) -> Self {
         Self {
-            inlier_share: self.inlier_share.max(FIRST_ROUND_SHARE),
-            ambiguity_ratio: self.ambiguity_ratio.max(FIRST_ROUND_RATIO),
+            inlier_share: self.inlier_share.max(EARLY_SHARE),
+            ambiguity_ratio: self.ambiguity_ratio.max(EARLY_RATIO),
             ..self
         }
     }
@@ -76,6 +65,34 @@ impl StandingOut {
             && ratio > self.ambiguity_ratio
             && share * ratio > self.share_times_ratio
     }
+}
+
+/// Where the poses of a round come from.
+#[derive(Debug, Clone, Copy)]
+enum Round {
+    /// So many rotations times the places where the moving cloud may belong.
+    Starts { index: usize, n_rotations: usize },
+    /// Points whose surroundings look alike.
+    Descriptors,
+}
+
+impl Round {
+    /// Whether few rivals have been met at its end.
+    fn is_early(&self) -> bool {
+        matches!(self, Self::Starts { index: 0, .. } | Self::Descriptors)
+    }
+}
+
+/// Few starts find most poses. Where they do not, descriptors cost less than more starts.
+fn rounds(options: &RobustSearchOptions) -> Vec<Round> {
+    let counts = options.rotations_per_round.iter().enumerate();
+    let mut rounds: Vec<Round> = counts
+        .map(|(index, &n_rotations)| Round::Starts { index, n_rotations })
+        .collect();
+    if options.descriptors {
+        rounds.insert(1, Round::Descriptors);
+    }
+    rounds
 }
 
 /// Two clouds whose pose is sought. Both should be voxel-uniform, with the same voxel.
@@ -159,50 +176,42 @@ pub fn search_robust(
     let as_given =
         Rigid::identity().between_local_coordinates(moving.cloud.origin, fixed.cloud.origin);
     let mut given = vec![as_given, Rigid::identity()];
-    for (round, n_rotations) in options.rotations_per_round.iter().enumerate() {
+    let rounds = rounds(options);
+    for (i, round) in rounds.iter().enumerate() {
         if stands_out || (n_rounds > 0 && deadline.is_over()) {
             break;
         }
-        n_rounds = round + 1;
-        let index = round as u64;
-        let mut stream = Stream::new(seed, "rotations", index);
-        let rotations = starts::rotations(*n_rotations, problem.freedom, &mut stream);
-        let pitch = PITCH[usize::from(round >= N_FIRST_ROUNDS)];
-        let sample = fixed.cloud.sample(N_PLACES_FROM);
-        let places = starts::anchors(sample, pitch * unit_m, REACH * unit_m);
-        let start = |i: usize| {
-            let mut stream = Stream::new(seed, "jitter", (index << 32) + i as u64);
-            let place = places[i / rotations.len()];
-            Rigid {
-                rotation: rotations[i % rotations.len()],
-                translation: place.map(|v| v + JITTER * unit_m * stream.normal()).into(),
+        n_rounds += 1;
+        // Turned about one axis alone, few starts already meet the rivals.
+        let is_early =
+            round.is_early() && i + 1 < rounds.len() && problem.freedom != Freedom::Levelled;
+        let found = match *round {
+            Round::Starts { index, n_rotations } => {
+                let which = (index, n_rotations);
+                let starts = Starts::new(&fixed.cloud, unit_m, problem.freedom, which, seed);
+                let start = |i| starts.pose(i);
+                let (mut basins, n_poses) =
+                    explorer.basins(starts.len(), start, deadline, progress)?;
+                n_explored += n_poses;
+                basins.truncate(match round.is_early() {
+                    true => options.n_verified.div_ceil(EARLY),
+                    false => options.n_verified,
+                });
+                basins
+            }
+            Round::Descriptors => {
+                let (moving, fixed) = (&moving.cloud, &fixed.cloud);
+                let proposed =
+                    hypotheses::propose(moving, fixed, unit_m, problem.freedom, progress)?;
+                let n_proposed = options.n_verified.div_ceil(EARLY);
+                proposed.iter().take(n_proposed).map(|h| h.pose).collect()
             }
         };
-        let n_starts = rotations.len() * places.len();
-        let (mut basins, n_poses) = explorer.basins(n_starts, start, deadline, progress)?;
-        n_explored += n_poses;
-        let is_first = round == 0 && options.rotations_per_round.len() > 1;
-        basins.truncate(match is_first {
-            true => options.n_verified.div_ceil(FIRST_ROUND),
-            false => options.n_verified,
-        });
-        let round_of_descriptors = DESCRIPTORS_IN_ROUND.min(options.rotations_per_round.len() - 1);
-        if options.descriptors && round == round_of_descriptors && !deadline.is_over() {
-            let (moving, fixed) = (&moving.cloud, &fixed.cloud);
-            let proposed = hypotheses::propose(moving, fixed, unit_m, problem.freedom, progress)?;
-            let n_proposed = proposed.len().min(options.n_verified / PROPOSED);
-            basins.truncate(options.n_verified - n_proposed);
-            basins.extend(
-                proposed[..n_proposed]
-                    .iter()
-                    .map(|hypothesis| hypothesis.pose),
-            );
-        }
         let n_certain = given.len();
-        let poses = [std::mem::take(&mut given), basins].concat();
+        let poses = [std::mem::take(&mut given), found].concat();
         verifier.look_at(&poses, n_certain, deadline, progress)?;
-        stands_out = match is_first {
-            true => enough.in_first_round().is_met(&verifier),
+        stands_out = match is_early {
+            true => enough.early().is_met(&verifier),
             false => enough.is_met(&verifier),
         };
     }

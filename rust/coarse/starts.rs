@@ -8,10 +8,64 @@ use crate::cloud::{Point, distance_sq};
 use crate::freedom::Freedom;
 use crate::random::Stream;
 use crate::rigid::Rigid;
+use crate::surface_cloud::SurfaceCloud;
+
+/// Distance of the places where the moving cloud may belong, in the first rounds and in later ones;
+/// all lengths are shares of the unit.
+const PITCH: [f64; 2] = [0.2, 0.15];
+const N_FIRST_ROUNDS: usize = 2;
+const REACH: f64 = 0.4;
+const JITTER: f64 = 0.05;
+/// Points of the fixed cloud from which places are derived.
+const N_PLACES_FROM: usize = 4000;
+
+/// The starts of one round: every rotation at every place.
+pub(super) struct Starts {
+    rotations: Vec<Matrix3<f64>>,
+    places: Vec<Point>,
+    jitter_m: f64,
+    round: u64,
+    seed: u64,
+}
+
+impl Starts {
+    /// About `n_rotations` rotations, those that are free, at the places of the fixed cloud.
+    pub(super) fn new(
+        fixed: &SurfaceCloud,
+        unit_m: f64,
+        freedom: Freedom,
+        (round, n_rotations): (usize, usize),
+        seed: u64,
+    ) -> Self {
+        let mut stream = Stream::new(seed, "rotations", round as u64);
+        let pitch = PITCH[usize::from(round >= N_FIRST_ROUNDS)];
+        let sample = fixed.sample(N_PLACES_FROM);
+        Self {
+            rotations: rotations(n_rotations, freedom, &mut stream),
+            places: anchors(sample, pitch * unit_m, REACH * unit_m),
+            jitter_m: JITTER * unit_m,
+            round: round as u64,
+            seed,
+        }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.rotations.len() * self.places.len()
+    }
+
+    pub(super) fn pose(&self, i: usize) -> Rigid {
+        let mut stream = Stream::new(self.seed, "jitter", (self.round << 32) + i as u64);
+        let place = self.places[i / self.rotations.len()];
+        Rigid {
+            rotation: self.rotations[i % self.rotations.len()],
+            translation: place.map(|v| v + self.jitter_m * stream.normal()).into(),
+        }
+    }
+}
 
 /// Rotations spread evenly over those that are free, turned together at random: `n` over all of
 /// SO(3), or about as dense round the vertical of levelled clouds.
-pub(super) fn rotations(n: usize, freedom: Freedom, stream: &mut Stream) -> Vec<Matrix3<f64>> {
+fn rotations(n: usize, freedom: Freedom, stream: &mut Stream) -> Vec<Matrix3<f64>> {
     /// A descent goes on turning: yaws this many times as dense as needed catch narrow basins.
     const YAWS: f64 = 6.0;
     match freedom {
@@ -94,7 +148,7 @@ fn random_rotation(stream: &mut Stream) -> UnitQuaternion<f64> {
 /// cloud the centroid of what lies within that reach is one place, the block itself another;
 /// places closer than about half a `pitch` count once. For clouds of equal size this gives a few
 /// places round the middle, for a large fixed cloud a few hundred.
-pub(super) fn anchors(fixed_sample: &[Point], pitch: f64, reach: f64) -> Vec<Point> {
+fn anchors(fixed_sample: &[Point], pitch: f64, reach: f64) -> Vec<Point> {
     const THINNING: f64 = 0.45;
     let mut blocks: Vec<[i64; 3]> = fixed_sample
         .iter()

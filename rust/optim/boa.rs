@@ -11,7 +11,7 @@
 use crate::error::{Result, require_between};
 use crate::random::Stream;
 
-use super::search::{Search, Swarm, Wish};
+use super::search::{Contest, Search, Swarm, Wish};
 use super::start::{self, Spread};
 use super::{Bounds, Budget, Optimizer};
 
@@ -148,7 +148,14 @@ impl Swarm for Butterflies {
     fn wish(&mut self) -> Wish {
         match self.next {
             Next::Start => Wish::values(self.places.clone()),
-            Next::Butterfly(i) => Wish::values(vec![self.trial(i)]),
+            Next::Butterfly(i) => Wish::Values {
+                points: vec![self.trial(i)],
+                limit: f64::INFINITY,
+                contest: Some(Contest {
+                    rival: self.fitness[i].next_up(), // an equal value is taken, too
+                    kind: 0,
+                }),
+            },
             Next::End => {
                 self.next = Next::Butterfly(0);
                 Wish::EndOfIteration

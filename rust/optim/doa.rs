@@ -12,7 +12,7 @@
 use crate::error::{Result, require_between};
 use crate::random::Stream;
 
-use super::search::{Search, Swarm, Wish};
+use super::search::{Contest, Search, Swarm, Wish};
 use super::start::{self, Spread};
 use super::{Bounds, Budget, Optimizer};
 
@@ -193,7 +193,14 @@ impl Swarm for Pack {
     fn wish(&mut self) -> Wish {
         match self.next {
             Next::Start => Wish::values(self.places.clone()),
-            Next::Dingo(i) => Wish::values(vec![self.trial(i)]),
+            Next::Dingo(i) => Wish::Values {
+                points: vec![self.trial(i)],
+                limit: f64::INFINITY,
+                contest: Some(Contest {
+                    rival: self.fitness[i].next_up(), // an equal value is taken, too
+                    kind: 0,
+                }),
+            },
             Next::End => {
                 self.survival = survival(&self.fitness, self.best_fitness);
                 self.next = Next::Dingo(0);

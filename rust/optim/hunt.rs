@@ -6,7 +6,7 @@
 
 use crate::random::Stream;
 
-use super::search::{Swarm, Wish};
+use super::search::{Contest, Swarm, Wish};
 use super::{Bounds, HawkOptions, MutationReading, levy, moves};
 
 /// The hawks, the prey and the random streams of one search.
@@ -38,7 +38,11 @@ enum Task {
     /// Move this hawk, and those after it.
     Move(usize),
     /// Fly on from the first trial point of a dive that was no better.
-    FlyOn { hawk: usize, first: Vec<f64> },
+    FlyOn {
+        hawk: usize,
+        attack: Attack,
+        first: Vec<f64>,
+    },
     /// See whether a hawk that besieged or dived, and had this value before, is to be mutated.
     Judge { hawk: usize, attack: Attack },
 }
@@ -47,7 +51,27 @@ enum Task {
 #[derive(Debug, Clone, Copy)]
 struct Attack {
     is_dive: bool,
+    is_soft: bool,
     fitness_before: f64,
+}
+
+impl Attack {
+    /// Whether it betters the hawk.
+    fn contest(self) -> Contest {
+        self.contest_of_kind(2 * usize::from(self.is_dive) + usize::from(self.is_soft))
+    }
+
+    /// Whether the second trial point of a dive does.
+    fn second_contest(self) -> Contest {
+        self.contest_of_kind(4)
+    }
+
+    fn contest_of_kind(self, kind: usize) -> Contest {
+        Contest {
+            rival: self.fitness_before,
+            kind,
+        }
+    }
 }
 
 /// Whose value was asked for.
@@ -58,9 +82,13 @@ enum Question {
     /// Of a hawk that has moved, better or not.
     Moved { hawk: usize, attack: Option<Attack> },
     /// Of the first trial point of a dive, here before it was clipped.
-    FirstTrial { hawk: usize, first: Vec<f64> },
+    FirstTrial {
+        hawk: usize,
+        attack: Attack,
+        first: Vec<f64>,
+    },
     /// Of the second one.
-    SecondTrial { hawk: usize, fitness_before: f64 },
+    SecondTrial { hawk: usize, attack: Attack },
     /// Of a mutation.
     Mutation { hawk: usize },
 }
@@ -128,17 +156,22 @@ impl Hunt {
             let position = self.explore(i);
             return self.settle(i, position, None);
         }
-        if self.move_stream.uniform() >= 0.5 {
+        let attack = Attack {
+            is_dive: self.move_stream.uniform() < 0.5,
+            is_soft: energy.abs() >= 0.5,
+            fitness_before,
+        };
+        if !attack.is_dive {
             let position = self.besiege(i, energy);
-            let attack = Attack {
-                is_dive: false,
-                fitness_before,
-            };
             return self.settle(i, position, Some(attack));
         }
         let first = self.dive(i, energy);
-        let wish = self.wish_for_better(first.clone(), fitness_before);
-        self.question = Question::FirstTrial { hawk: i, first };
+        let wish = self.wish_for_better(first.clone(), attack.contest());
+        self.question = Question::FirstTrial {
+            hawk: i,
+            attack,
+            first,
+        };
         Some(wish)
     }
 
@@ -183,18 +216,15 @@ impl Hunt {
         }
     }
 
-    fn fly_on(&mut self, i: usize, first: &[f64]) -> Option<Wish> {
-        let fitness_before = self.fitness[i]?;
+    fn fly_on(&mut self, i: usize, attack: Attack, first: &[f64]) -> Wish {
         let stream = &mut self.move_stream;
         let s: Vec<f64> = first.iter().map(|_| stream.uniform()).collect();
-        let flight: Vec<f64> = (first.iter())
-            .map(|_| levy::step(stream.normal(), stream.normal(), self.options.levy_factor))
+        let normals: Vec<[f64; 2]> = (first.iter())
+            .map(|_| [stream.normal(), stream.normal()])
             .collect();
-        self.question = Question::SecondTrial {
-            hawk: i,
-            fitness_before,
-        };
-        Some(self.wish_for_better(moves::fly_on(first, &s, &flight), fitness_before))
+        let flight = levy::flight(&normals, self.options.levy_factor);
+        self.question = Question::SecondTrial { hawk: i, attack };
+        self.wish_for_better(moves::fly_on(first, &s, &flight), attack.second_contest())
     }
 
     /// Asks for the mutation of three hawks other than this one, if it is this one's turn.
@@ -227,7 +257,11 @@ impl Hunt {
             o,
         );
         self.question = Question::Mutation { hawk: i };
-        Some(self.wish_for_better(position, fitness))
+        let contest = Contest {
+            rival: fitness,
+            kind: 5,
+        };
+        Some(self.wish_for_better(position, contest))
     }
 
     /// J, the strength of the prey's jump.
@@ -285,16 +319,16 @@ impl Hunt {
         Some(Wish::Values {
             points: vec![self.hawks[i].clone()],
             limit: f64::INFINITY,
-            rival: attack.map_or(f64::INFINITY, |attack| attack.fitness_before),
+            contest: attack.map(Attack::contest),
         })
     }
 
-    fn wish_for_better(&self, mut position: Vec<f64>, limit: f64) -> Wish {
+    fn wish_for_better(&self, mut position: Vec<f64>, contest: Contest) -> Wish {
         self.bounds.clip(&mut position);
         Wish::Values {
             points: vec![position],
-            limit,
-            rival: limit,
+            limit: contest.rival,
+            contest: Some(contest),
         }
     }
 
@@ -321,7 +355,11 @@ impl Swarm for Hunt {
                     return Wish::EndOfIteration;
                 }
                 Task::Move(hawk) => self.move_hawk(hawk),
-                Task::FlyOn { hawk, first } => self.fly_on(hawk, &first),
+                Task::FlyOn {
+                    hawk,
+                    attack,
+                    first,
+                } => Some(self.fly_on(hawk, attack, &first)),
                 Task::Judge { hawk, attack } => self.judge(hawk, attack),
             };
             if let Some(wish) = wish {
@@ -349,27 +387,23 @@ impl Swarm for Hunt {
                 self.task =
                     attack.map_or(Task::Move(hawk + 1), |attack| Task::Judge { hawk, attack });
             }
-            Question::FirstTrial { hawk, first } => {
-                let fitness_before = self.fitness[hawk].unwrap_or(f64::INFINITY);
+            Question::FirstTrial {
+                hawk,
+                attack,
+                first,
+            } => {
                 self.task = if self.settle_if_better(hawk, points, value) {
-                    let attack = Attack {
-                        is_dive: true,
-                        fitness_before,
-                    };
                     Task::Judge { hawk, attack }
                 } else {
-                    Task::FlyOn { hawk, first }
+                    Task::FlyOn {
+                        hawk,
+                        attack,
+                        first,
+                    }
                 };
             }
-            Question::SecondTrial {
-                hawk,
-                fitness_before,
-            } => {
+            Question::SecondTrial { hawk, attack } => {
                 self.settle_if_better(hawk, points, value);
-                let attack = Attack {
-                    is_dive: true,
-                    fitness_before,
-                };
                 self.task = Task::Judge { hawk, attack };
             }
             Question::Mutation { hawk } => {
@@ -431,6 +465,7 @@ mod tests {
     fn mutate(hunt: &mut Hunt, i: usize, f: fn(&[f64]) -> f64) {
         let attack = Attack {
             is_dive: false,
+            is_soft: false,
             fitness_before: f64::NEG_INFINITY,
         };
         if let Some(Wish::Values { points, .. }) = hunt.judge(i, attack) {
@@ -454,9 +489,15 @@ mod tests {
     #[test]
     fn besieges_move_a_hawk_for_better_or_worse_and_dives_only_for_better() {
         let mut hunt = hunt(&HawkOptions::hho(), |_| 1.0, &[0.0, 4.0]);
+        let attack = Attack {
+            is_dive: true,
+            is_soft: false,
+            fitness_before: 1.0,
+        };
         let first = hunt.dive(1, 0.25);
         hunt.question = Question::FirstTrial {
             hawk: 1,
+            attack,
             first: first.clone(),
         };
         hunt.tell(vec![first], &[1.0]);
@@ -515,6 +556,7 @@ mod tests {
             let mut hunt = hunt(&options, sphere, &[2.0, 1.0, 0.0, 3.0]);
             let attack = Attack {
                 is_dive,
+                is_soft: false,
                 fitness_before,
             };
             hunt.judge(0, attack).is_some()

@@ -19,16 +19,40 @@ pub const SIGMA: f64 = 0.696_574_502_557_696_8;
 /// assert!((step(2.0, -8.0, 1.0) - 2.0 * SIGMA / 4.0).abs() < 1e-14);
 /// ```
 pub fn step(u: f64, v: f64, factor: f64) -> f64 {
-    // Eq. (5): LF = c u σ / |v|^(1/β), and 1/β = 2/3.
-    factor * u * SIGMA * inverse_cube_root(v * v)
+    step_by_guess(u, v, factor, guess(v * v))
 }
 
-/// x^(−1/3) of a positive number to the last digits, by multiplications alone: in a search by hawks the
-/// roots of the standard library took a quarter of the time. Large but finite for 0.
-fn inverse_cube_root(x: f64) -> f64 {
-    /// 4/3 of the bits of 1, less what brings the error of the first guess below 4 %.
+/// A [`step`] along each coordinate, from the two numbers drawn for it.
+///
+/// ```
+/// use tmchho::optim::levy::{flight, step};
+/// assert_eq!(flight(&[[2.0, -8.0], [1.0, 0.5]], 1.0), [step(2.0, -8.0, 1.0), step(1.0, 0.5, 1.0)]);
+/// ```
+pub fn flight(normals: &[[f64; 2]], factor: f64) -> Vec<f64> {
+    // First the guesses, then the rest, because only the rest is turned into vector instructions.
+    let mut flight: Vec<f64> = normals.iter().map(|[_, v]| guess(v * v)).collect();
+    for (step, [u, v]) in flight.iter_mut().zip(normals) {
+        *step = step_by_guess(*u, *v, factor, *step);
+    }
+    flight
+}
+
+fn step_by_guess(u: f64, v: f64, factor: f64, guess: f64) -> f64 {
+    // Eq. (5): LF = c u σ / |v|^(1/β), and 1/β = 2/3.
+    factor * u * SIGMA * inverse_cube_root(v * v, guess)
+}
+
+/// About x^(−1/3), for a positive number.
+fn guess(x: f64) -> f64 {
+    /// 4/3 of the bits of 1, less what brings the error below 4 %.
     const GUESS: u64 = 0x553e_f0ff_289d_d796;
-    let mut y = f64::from_bits(GUESS - x.to_bits() / 3);
+    f64::from_bits(GUESS - x.to_bits() / 3)
+}
+
+/// x^(−1/3) to the last digits, by multiplications alone: in a search by hawks the roots of the
+/// standard library took a quarter of the time. Large but finite for 0.
+fn inverse_cube_root(x: f64, guess: f64) -> f64 {
+    let mut y = guess;
     // Newton's iteration squares the relative error each time, and doubles it.
     for _ in 0..4 {
         y *= (4.0 - x * y * y * y) * (1.0 / 3.0);
@@ -56,10 +80,11 @@ mod tests {
         let mut x = 1e-40;
         while x < 1e40 {
             let wanted = 1.0 / f64::cbrt(x);
-            assert!((inverse_cube_root(x) / wanted - 1.0).abs() < 1e-14, "{x}");
+            let found = inverse_cube_root(x, guess(x));
+            assert!((found / wanted - 1.0).abs() < 1e-14, "{x}");
             x *= 1.37;
         }
-        assert!(inverse_cube_root(0.0).is_finite());
+        assert!(inverse_cube_root(0.0, guess(0.0)).is_finite());
     }
 
     #[test]

@@ -118,23 +118,20 @@ pub fn mutate(hawks: [&[f64]; 3], fitness: [f64; 3], o: f64) -> Vec<f64> {
 /// # Panics
 /// Where there are no hawks.
 pub fn mean(hawks: &[Vec<f64>]) -> Vec<f64> {
-    /// Coordinates whose sums stay in registers while all hawks are read.
-    const BLOCK: usize = 16;
     let mut mean = vec![0.0; hawks[0].len()];
-    for (block, mean) in mean.chunks_mut(BLOCK).enumerate() {
-        let mut sums = [0.0; BLOCK];
-        for hawk in hawks {
-            let part = &hawk[block * BLOCK..][..mean.len()];
-            match <&[f64; BLOCK]>::try_from(part) {
-                Ok(part) => (0..BLOCK).for_each(|i| sums[i] += part[i]),
-                Err(_) => sums.iter_mut().zip(part).for_each(|(sum, o)| *sum += o),
-            }
+    // Five at a time, so that a sum is fetched and put back once for five hawks.
+    let (fives, rest) = hawks.as_chunks::<5>();
+    for [a, b, c, d, e] in fives {
+        let others = a.iter().zip(b).zip(c).zip(d).zip(e);
+        for (sum, ((((a, b), c), d), e)) in mean.iter_mut().zip(others) {
+            *sum = *sum + a + b + c + d + e;
         }
-        let n = hawks.len() as f64;
-        mean.iter_mut()
-            .zip(sums)
-            .for_each(|(mean, sum)| *mean = sum / n);
     }
+    for hawk in rest {
+        mean.iter_mut().zip(hawk).for_each(|(sum, o)| *sum += o);
+    }
+    let n = hawks.len() as f64;
+    mean.iter_mut().for_each(|sum| *sum /= n);
     mean
 }
 

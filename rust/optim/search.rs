@@ -16,15 +16,27 @@ use super::{IterationListener, IterationReport, Minimum, Objective, StopReason};
 /// What a method wants next.
 pub(super) enum Wish {
     /// The values at these points, which are inside the box. Values that are not below `limit` may
-    /// be replaced by any number that is not. What comes next depends on whether a single value is
-    /// below `rival`, or on nothing where that is +∞.
+    /// be replaced by any number that is not.
     Values {
         points: Vec<Vec<f64>>,
         limit: f64,
-        rival: f64,
+        contest: Option<Contest>,
     },
     /// Nothing: an iteration is over, and the best point is up to date.
     EndOfIteration,
+}
+
+/// What the search does next depends on whether a single value is below that of a rival.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Contest {
+    pub(super) rival: f64,
+    /// Contests of one kind, a number below [`Contest::N_KINDS`], tend to end alike.
+    pub(super) kind: usize,
+}
+
+impl Contest {
+    /// The most kinds that a method tells apart.
+    pub(super) const N_KINDS: usize = 6;
 }
 
 impl Wish {
@@ -33,7 +45,7 @@ impl Wish {
         Self::Values {
             points,
             limit: f64::INFINITY,
-            rival: f64::INFINITY,
+            contest: None,
         }
     }
 }
@@ -77,7 +89,7 @@ pub struct Search {
     deadline: Deadline,
     asked: Vec<Vec<f64>>,
     limit: f64,
-    rival: f64,
+    contest: Option<Contest>,
     n_evaluations: usize,
     n_nan: usize,
     history: Vec<f64>,
@@ -93,7 +105,7 @@ impl Search {
             deadline: Deadline::after(budget.max_seconds),
             asked: Vec::new(),
             limit: f64::INFINITY,
-            rival: f64::INFINITY,
+            contest: None,
             n_evaluations: 0,
             n_nan: 0,
             history: Vec::new(),
@@ -204,9 +216,9 @@ impl Search {
         self.limit
     }
 
-    /// What comes next depends on whether a single value is below this.
-    pub(super) fn rival(&self) -> f64 {
-        self.rival
+    /// What comes next depends on this alone, where a single value is asked for.
+    pub(super) fn contest(&self) -> Option<Contest> {
+        self.contest
     }
 
     /// A copy that goes its own way.
@@ -226,7 +238,7 @@ impl Search {
                 Wish::Values {
                     mut points,
                     limit,
-                    rival,
+                    contest,
                 } => {
                     let n_left = if self.is_late() {
                         0
@@ -238,7 +250,7 @@ impl Search {
                         continue;
                     }
                     points.truncate(n_left);
-                    (self.asked, self.limit, self.rival) = (points, limit, rival);
+                    (self.asked, self.limit, self.contest) = (points, limit, contest);
                     return;
                 }
                 Wish::EndOfIteration => {

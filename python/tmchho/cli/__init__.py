@@ -14,6 +14,7 @@ from tmchho.cli.doctor import doctor
 from tmchho.cli.evaluate import evaluate
 from tmchho.cli.failures import EXIT_CODES, Commands
 from tmchho.cli.info import info
+from tmchho.cli.network import network
 from tmchho.cli.paper import paper
 from tmchho.cli.register import register
 from tmchho.cli.report import report
@@ -44,7 +45,8 @@ def main() -> None:
     """
 
 
-for _command in (register, evaluate, apply, info, demo, config, paper, report, view, doctor, completion):
+_COMMANDS = (register, network, evaluate, apply, info, demo, config, paper, report, view, doctor, completion)
+for _command in _COMMANDS:
     main.add_command(_command)
 
 __all__ = ["main"]

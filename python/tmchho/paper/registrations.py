@@ -104,7 +104,13 @@ def bring_back(pair: Pair, away: Array, job: Job, should_stop: ShouldStop) -> Re
             searched = search(source.keypoints, pair.target.keypoints, job, should_stop)
             coarse = searched.candidates[0].transformation
             result |= {"history": searched.history.tolist(), "n_evaluations": searched.n_evaluations}
-        fine = icp(source.voxels, pair.target.voxels, init=coarse, method="point_to_point").transformation
+        fine = icp(
+            source.voxels,
+            pair.target.voxels,
+            init=coarse,
+            method="point_to_point",
+            coarse_to_fine=False,  # the paper's runs with all points from the first step
+        ).transformation
     result["rms"] = rms_between(source, pair.target, coarse, lambda scan: scan.keypoints)
     result["true_rms"] = rms_between(source, pair.target, wanted, lambda scan: scan.keypoints)
     result["fine_rms"] = rms_between(source, pair.target, fine, lambda scan: scan.voxels)
@@ -115,7 +121,9 @@ def bring_back(pair: Pair, away: Array, job: Job, should_stop: ShouldStop) -> Re
     return result
 
 
-def search(source: Array, target: Array, job: Job, should_stop: ShouldStop) -> Registration:
+def search(
+    source: Array, target: Array, job: Job, should_stop: ShouldStop, *, n_threads: int = 1
+) -> Registration:
     """Minimise Eq. (1) between keypoints that are at hand already.
 
     Parameters
@@ -125,6 +133,8 @@ def search(source: Array, target: Array, job: Job, should_stop: ShouldStop) -> R
     job : dict
         ``method``, ``seed``, ``n_population`` and ``n_iterations``.
     should_stop : callable
+    n_threads : int
+        By how many threads: one, because the command does several jobs at a time.
 
     Returns
     -------
@@ -141,7 +151,7 @@ def search(source: Array, target: Array, job: Job, should_stop: ShouldStop) -> R
             "method": job["method"],
             "hawks": {"n_hawks": job["n_population"], "n_iterations": job["n_iterations"]},
         },
-        "n_threads": 1,
+        "n_threads": n_threads,
     }
     return register(
         source,
