@@ -21,6 +21,7 @@ _EXTRAS = {
     "areas": (("pyogrio", "pyproj"), "areas from shapefiles and GeoPackages"),
     "report": (("matplotlib", "jinja2"), "report.html, tmchho view and figures"),
     "e57": (("pye57",), "E57 files"),
+    "network": (("scipy", "dask", "distributed", "threadpoolctl"), "networks of stations"),
     "paper": (
         ("matplotlib", "jinja2", "scipy", "cma", "threadpoolctl"),
         "the tables and figures of the paper",
