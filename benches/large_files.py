@@ -140,7 +140,7 @@ def main() -> None:
     if arguments.evaluate:
         evaluate_beside(source, target, arguments.folder, arguments.max_memory)
         return
-    command = [sys.executable, "-m", "tmchho", "register", str(source), str(target), "--json", "--quiet"]
+    command = [sys.executable, "-c", MEASURED, "register", str(source), str(target), "--json", "--quiet"]
     command += ["-o", str(arguments.folder / "out"), "--overwrite"]
     command += ["--max-memory", arguments.max_memory, "--fuse", arguments.fuse]
     began = time.perf_counter()
@@ -154,7 +154,8 @@ def main() -> None:
     process = used.ru_utime + used.ru_stime
     print(f"verdict {document['verdict']}, {n_points:,} points, {document['fused']['n_points']:,} fused")
     print(
-        f"peak memory {used.ru_maxrss / 1e6:.2f} GB; wall {wall:.0f} s, processors {process:.0f} s; ", end=""
+        f"peak memory {int(ran.stderr.split()[-1]) / 1e6:.2f} GB; wall {wall:.0f} s, processors {process:.0f} s; ",
+        end="",
     )
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
     for part in PARTS:
