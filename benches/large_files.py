@@ -152,9 +152,10 @@ def main() -> None:
     document = json.loads(ran.stdout)
     n_points = sum(document["inputs"][role]["n_points"] for role in ("source", "target"))
     process = used.ru_utime + used.ru_stime
+    peak = int(ran.stderr.split()[-1])
     print(f"verdict {document['verdict']}, {n_points:,} points, {document['fused']['n_points']:,} fused")
     print(
-        f"peak memory {int(ran.stderr.split()[-1]) / 1e6:.2f} GB; wall {wall:.0f} s, processors {process:.0f} s; ",
+        f"peak memory {peak / 1e6:.2f} GB; wall {wall:.0f} s, processors {process:.0f} s; ",
         end="",
     )
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
