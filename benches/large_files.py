@@ -140,7 +140,7 @@ def main() -> None:
     if arguments.evaluate:
         evaluate_beside(source, target, arguments.folder, arguments.max_memory)
         return
-    command = [sys.executable, "-m", "tmchho", "register", str(source), str(target), "--json", "--quiet"]
+    command = [sys.executable, "-c", MEASURED, "register", str(source), str(target), "--json", "--quiet"]
     command += ["-o", str(arguments.folder / "out"), "--overwrite"]
     command += ["--max-memory", arguments.max_memory, "--fuse", arguments.fuse]
     began = time.perf_counter()
@@ -152,9 +152,11 @@ def main() -> None:
     document = json.loads(ran.stdout)
     n_points = sum(document["inputs"][role]["n_points"] for role in ("source", "target"))
     process = used.ru_utime + used.ru_stime
+    peak = int(ran.stderr.split()[-1])
     print(f"verdict {document['verdict']}, {n_points:,} points, {document['fused']['n_points']:,} fused")
     print(
-        f"peak memory {used.ru_maxrss / 1e6:.2f} GB; wall {wall:.0f} s, processors {process:.0f} s; ", end=""
+        f"peak memory {peak / 1e6:.2f} GB; wall {wall:.0f} s, processors {process:.0f} s; ",
+        end="",
     )
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
     for part in PARTS:

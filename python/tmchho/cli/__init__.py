@@ -7,8 +7,10 @@ import is imported inside the commands, so that ``--help`` answers at once.
 import click
 
 from tmchho.cli.apply import apply
+from tmchho.cli.completion import completion
 from tmchho.cli.config import config
 from tmchho.cli.demo import demo
+from tmchho.cli.doctor import doctor
 from tmchho.cli.evaluate import evaluate
 from tmchho.cli.failures import EXIT_CODES, Commands
 from tmchho.cli.info import info
@@ -43,7 +45,8 @@ def main() -> None:
     """
 
 
-for _command in (register, network, evaluate, apply, info, demo, config, paper, report, view):
+_COMMANDS = (register, network, evaluate, apply, info, demo, config, paper, report, view, doctor, completion)
+for _command in _COMMANDS:
     main.add_command(_command)
 
 __all__ = ["main"]

@@ -61,7 +61,7 @@ def atomic_path(path: StrPath, overwrite: bool = False, inputs: Iterable[StrPath
     check_output(path, overwrite, inputs)
     target = Path(path).resolve()
     # The stem is cut because file systems allow 255 bytes for a name.
-    unique = f"{own_mark()}-{secrets.token_hex(4)}"
+    unique = f"tmp-{own_mark()}-{secrets.token_hex(4)}"
     temporary = target.with_name(f".{target.stem[:40]}.{unique}{target.suffix}")
     try:
         yield temporary

@@ -1,0 +1,30 @@
+"""The messages that `docs/failures.md` explains are those of the program."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+ROW = re.compile(r"^\| (`.+?`.*?) \|", re.MULTILINE)
+
+
+def said() -> str:
+    """Return all that the code may say, as one line, strings that go on in the next one joined."""
+    paths = [*(REPOSITORY / "python").rglob("*.py"), *(REPOSITORY / "rust").rglob("*.rs")]
+    text = "\n".join(path.read_text(encoding="utf-8") for path in paths)
+    return re.sub(r"\s+", " ", re.sub(r'(?:"\s*\n\s*f?"|\\\n\s*)', "", text))
+
+
+def test_every_message_is_one_of_ours() -> None:
+    page = (REPOSITORY / "docs" / "failures.md").read_text(encoding="utf-8").partition("\n## Python")[0]
+    code, n_found = said(), 0
+    for cell in ROW.findall(page):
+        for message in re.findall(r"`([^`]+)`", cell):
+            # What depends on the case: names, numbers, and what the page leaves out.
+            pieces = re.split(r"…|\bN\b|\bX\b|\bY\b|\d+(?: MB)?|LAS|\(No space left on device\)", message)
+            for piece in (piece.strip(" ;:,()") for piece in pieces):
+                if len(piece) > 8 and not piece.startswith("--"):
+                    assert piece in code, (message, piece)
+                    n_found += 1
+    assert n_found > 30
