@@ -27,10 +27,19 @@ import tmchho
 from tmchho.simulate import make_site, survey_photogrammetry, survey_scanner
 from tmchho.simulate.pair import NATIONAL_CRS, NATIONAL_ORIGIN
 
+# The peak of this very process; what the system tells of children begins with the memory of their parent.
+MEASURED = (
+    "import sys\n"
+    "from tmchho.cli import main\n"
+    "try:\n"
+    "    main(sys.argv[1:])\n"
+    "finally:\n"
+    "    print(open('/proc/self/status').read().split('VmHWM:')[1].split()[0], file=sys.stderr)\n"
+)
 PART = 1_000_000
 DRAWN = 5  # millions
 NOISE_MM = 30
-PARTS = ("thin", "register", "sort", "measure", "fuse")
+PARTS = ("thin", "register", "sort", "measure", "areas", "fuse")
 
 
 def make_surveys(folder: Path, millions: int) -> tuple[Path, Path]:
@@ -96,6 +105,22 @@ def read_beside_laspy(path: Path) -> dict[str, tuple[float, ...]]:
     return found
 
 
+def evaluate_beside(source: Path, target: Path, folder: Path, max_memory: str) -> None:
+    """Print the time and the peak memory of `info` and of `evaluate` by some methods."""
+    pose = ["--transform", str(folder / "out" / "result.json"), "-q", "--json"]
+    for words in (
+        ["info", str(source), str(target), "-q"],
+        *(["evaluate", str(source), str(target), *pose, "--method", m] for m in ("nearest", "plane", "m3c2")),
+    ):
+        began = time.perf_counter()
+        limited = [sys.executable, "-c", MEASURED, *words, "--max-memory", max_memory]
+        ran = subprocess.run(limited, capture_output=True, text=True, check=False)
+        peak = ran.stderr.split()[-1]
+        name = " ".join([words[0], *words[-1:]]) if words[0] == "evaluate" else words[0]
+        seconds = time.perf_counter() - began
+        print(f"{name:<17} exit {ran.returncode}  peak memory {int(peak) / 1e6:.2f} GB  wall {seconds:.0f} s")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--millions", type=int, default=5, help="points of each survey, in millions")
@@ -103,6 +128,7 @@ def main() -> None:
     parser.add_argument("--max-memory", default="2GB")
     parser.add_argument("--fuse", default="merge")
     parser.add_argument("--read", action="store_true", help="also read one survey as a whole, beside laspy")
+    parser.add_argument("--evaluate", action="store_true", help="measure them instead, at the pose found")
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     source, target = make_surveys(arguments.folder, arguments.millions)
@@ -111,6 +137,9 @@ def main() -> None:
     if arguments.read:
         for name, (wall, process) in read_beside_laspy(target).items():
             print(f"read by {name:<7} wall {wall:.2f} s  processors {process:.2f} s")
+    if arguments.evaluate:
+        evaluate_beside(source, target, arguments.folder, arguments.max_memory)
+        return
     command = [sys.executable, "-m", "tmchho", "register", str(source), str(target), "--json", "--quiet"]
     command += ["-o", str(arguments.folder / "out"), "--overwrite"]
     command += ["--max-memory", arguments.max_memory, "--fuse", arguments.fuse]

@@ -205,6 +205,8 @@ impl Config {
             }
         };
         self.icp.method = self.icp.method.or(Some(method));
+        let is_robust = self.mode == Mode::Robust;
+        self.icp.coarse_to_fine = self.icp.coarse_to_fine.or(Some(is_robust));
         self.icp.max_distance_m = max_distance_m;
     }
 }

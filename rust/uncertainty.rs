@@ -92,9 +92,11 @@ impl PoseUncertainty {
     ) -> Option<Self> {
         let fit = Fit::of(pairs, freedom)?;
         let known = known.information();
-        let worst = cells(pairs, smallest_cell_m)
-            .iter()
-            .map_while(|level| fit.within_cells(pairs, level, &known))
+        let cells = cells(pairs, smallest_cell_m);
+        let levels = std::iter::successors(Some(cells), |cells| Some(coarser(cells)));
+        let worst = levels
+            .take(N_LEVELS)
+            .map_while(|cells| fit.within_cells(&cells, &known))
             .max_by(|a, b| a.0.total_cmp(&b.0));
         let (registration_error_m, covariance, n_cells) = worst?;
         Some(Self {
@@ -126,7 +128,7 @@ impl PoseUncertainty {
 /// by which other observations are weighed against them. `None` where there are too few cells.
 pub fn effective_variance(pairs: &[PlanePair], freedom: Freedom, cell_m: f64) -> Option<f64> {
     let fit = Fit::of(pairs, freedom)?;
-    let scores = fit.scores(pairs, cells(pairs, cell_m).first()?)?;
+    let scores = fit.scores(&cells(pairs, cell_m))?;
     let inverse = freedom.inverse_of_free(&fit.information)?;
     Some((inverse * scores).trace() / f64::from(freedom.dof()))
 }
@@ -153,6 +155,47 @@ pub fn open_motions(
     open.into_iter().map(row).collect()
 }
 
+/// What a pass over the pairs leaves.
+#[derive(Default)]
+struct FitSums {
+    information: ScaledPlaneSums,
+    of_noise: ScaledPlaneSums,
+    displacement: ScaledPlaneSums,
+    pull: Vector7,
+    squared: f64,
+    weight: f64,
+}
+
+impl FitSums {
+    fn of(pairs: &[PlanePair], usual_variance: f64) -> Self {
+        let mut sums = Self::default();
+        for pair in pairs {
+            let (p, n) = (&pair.point, &pair.normal);
+            sums.information.add(p, p, n, pair.stiffness);
+            sums.pull -= row_of(p, n) * (pair.weight * pair.residual_m);
+            let noise = pair.stiffness * pair.slope_variance.max(usual_variance);
+            let across = |r: usize, c: usize| noise * (f64::from(u8::from(r == c)) - n[r] * n[c]);
+            let across =
+                [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)].map(|(r, c)| across(r, c));
+            sums.of_noise.add_weighed(p, p, across);
+            sums.displacement
+                .add_weighed(p, p, [1.0, 0.0, 1.0, 0.0, 0.0, 1.0]);
+            sums.squared += pair.weight * pair.residual_m * pair.residual_m;
+            sums.weight += pair.weight;
+        }
+        sums
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.information.merge(&other.information);
+        self.of_noise.merge(&other.of_noise);
+        self.displacement.merge(&other.displacement);
+        self.pull += other.pull;
+        self.squared += other.squared;
+        self.weight += other.weight;
+    }
+}
+
 /// How the pairs hold the pose.
 struct Fit {
     freedom: Freedom,
@@ -168,61 +211,38 @@ struct Fit {
 
 impl Fit {
     fn of(pairs: &[PlanePair], freedom: Freedom) -> Option<Self> {
-        let mut sums = [ScaledPlaneSums::default(); 3];
-        let (mut squared, mut weight, mut pull) = (0.0, 0.0, Vector7::zeros());
         let usual_variance = median_slope_variance(pairs);
-        for pair in pairs {
-            let (p, n) = (&pair.point, &pair.normal);
-            sums[0].add(p, p, n, pair.stiffness);
-            pull -= row_of(p, n) * (pair.weight * pair.residual_m);
-            let noise = pair.stiffness * pair.slope_variance.max(usual_variance);
-            let across = |r: usize, c: usize| noise * (f64::from(u8::from(r == c)) - n[r] * n[c]);
-            let across =
-                [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)].map(|(r, c)| across(r, c));
-            sums[1].add_weighed(p, p, across);
-            sums[2].add_weighed(p, p, [1.0, 0.0, 1.0, 0.0, 0.0, 1.0]);
-            squared += pair.weight * pair.residual_m * pair.residual_m;
-            weight += pair.weight;
-        }
-        let [information, of_noise, displacement] = sums.map(|sums| sums.information());
-        let residual_m = (squared / weight).sqrt();
+        let chunks = parallel::map_chunks(pairs, |pairs| FitSums::of(pairs, usual_variance));
+        let mut all = FitSums::default();
+        chunks.iter().for_each(|chunk| all.merge(chunk));
+        let residual_m = (all.squared / all.weight).sqrt();
         residual_m.is_finite().then(|| Self {
             freedom,
-            information,
-            pull,
-            of_noise,
-            displacement: displacement / pairs.len() as f64,
+            information: all.information.information(),
+            pull: all.pull,
+            of_noise: all.of_noise.information(),
+            displacement: all.displacement.information() / pairs.len() as f64,
             residual_m,
         })
     }
 
     /// Σ over the cells of the outer product of what each pulls; `None` for too few cells.
-    fn scores(&self, pairs: &[PlanePair], cells: &[Vec<u32>]) -> Option<Matrix7> {
+    fn scores(&self, cells: &[Cell]) -> Option<Matrix7> {
         let (n, p) = (cells.len() as f64, f64::from(self.freedom.dof()));
         if n < 2.0 * p {
             return None;
         }
         let mut scores = Matrix7::zeros();
         for cell in cells {
-            let mut pull = Vector7::zeros();
-            for &i in cell {
-                let pair = &pairs[i as usize];
-                pull += row_of(&pair.point, &pair.normal) * (pair.weight * pair.residual_m);
-            }
-            scores += pull * pull.transpose();
+            scores += cell.pull * cell.pull.transpose();
         }
         // A fit to few cells leaves residuals that are too small.
         Some(scores * (n / (n - p)))
     }
 
     /// The 1σ displacement, the covariance and the number of cells.
-    fn within_cells(
-        &self,
-        pairs: &[PlanePair],
-        cells: &[Vec<u32>],
-        known: &Matrix7,
-    ) -> Option<(f64, Matrix7, usize)> {
-        let scores = self.scores(pairs, cells)?;
+    fn within_cells(&self, cells: &[Cell], known: &Matrix7) -> Option<(f64, Matrix7, usize)> {
+        let scores = self.scores(cells)?;
         let variance = (self.freedom.inverse_of_free(&self.information)? * scores).trace()
             / f64::from(self.freedom.dof());
         let (bread, open) = self.bread(&(variance * known))?;
@@ -314,33 +334,74 @@ fn row_of(point: &Point, normal: &Point) -> Vector7 {
     SVector::from([a, b, c, d, e, f, growth])
 }
 
-/// The pairs by the cell of space that they lie in, for edges that double from `smallest_m`.
-fn cells(pairs: &[PlanePair], smallest_m: f64) -> Vec<Vec<Vec<u32>>> {
-    const N_LEVELS: u32 = 7;
+/// Sizes of cells that are tried, each twice as large as the one before.
+const N_LEVELS: usize = 7;
+
+/// A cell of space, and what its pairs pull together.
+struct Cell {
+    /// The bits of its place along the three axes in turn, so that a coarser cell is a shorter number.
+    code: u64,
+    pull: Vector7,
+}
+
+/// The occupied cells of edge `edge_m`, by code.
+fn cells(pairs: &[PlanePair], edge_m: f64) -> Vec<Cell> {
     /// Bits of a place along an axis.
     const BITS: u32 = 21;
     let code = |p: &Point| -> u64 {
-        let place = p.map(|v| (v / smallest_m).floor() as i64 + (1 << (BITS - 1)));
-        // The bits of the three axes in turn, so that a coarser cell is a shorter number.
-        (0..BITS).fold(0, |code, bit| {
-            (0..3).fold(code, |code, axis| {
-                code | (((place[axis] >> bit) & 1) as u64) << (3 * bit + axis as u32)
-            })
+        let place = p.map(|v| (v / edge_m).floor() as i64 + (1 << (BITS - 1)));
+        (0..3).fold(0, |code, axis| {
+            code | (apart(place[axis] as u64 & ((1 << BITS) - 1)) << axis)
         })
     };
-    let mut order: Vec<(u64, u32)> = (0..)
-        .zip(pairs)
-        .map(|(i, pair)| (code(&pair.point), i))
-        .collect();
+    let mut order: Vec<(u64, u32)> = parallel::map_chunks(pairs, |pairs| {
+        pairs
+            .iter()
+            .map(|pair| code(&pair.point))
+            .collect::<Vec<_>>()
+    })
+    .into_iter()
+    .flatten()
+    .zip(0..)
+    .collect();
     parallel::sort_unstable(&mut order);
-    (0..N_LEVELS)
-        .map(|level| {
-            order
-                .chunk_by(|a, b| a.0 >> (3 * level) == b.0 >> (3 * level))
-                .map(|cell| cell.iter().map(|(_, i)| *i).collect())
-                .collect()
-        })
+    let cells: Vec<&[(u64, u32)]> = order.chunk_by(|a, b| a.0 == b.0).collect();
+    parallel::map(cells.len(), |cell| {
+        let mut pull = Vector7::zeros();
+        for (_, i) in cells[cell] {
+            let pair = &pairs[*i as usize];
+            pull += row_of(&pair.point, &pair.normal) * (pair.weight * pair.residual_m);
+        }
+        Cell {
+            code: cells[cell][0].0,
+            pull,
+        }
+    })
+}
+
+/// The cells of twice the edge.
+fn coarser(cells: &[Cell]) -> Vec<Cell> {
+    let of_one = |cells: &[Cell]| Cell {
+        code: cells[0].code >> 3,
+        pull: cells.iter().map(|cell| cell.pull).sum(),
+    };
+    cells
+        .chunk_by(|a, b| a.code >> 3 == b.code >> 3)
+        .map(of_one)
         .collect()
+}
+
+/// The lowest 21 bits of a number, two zeros after each.
+fn apart(bits: u64) -> u64 {
+    const STEPS: [(u32, u64); 5] = [
+        (32, 0x001f_0000_0000_ffff),
+        (16, 0x001f_0000_ff00_00ff),
+        (8, 0x100f_00f0_0f00_f00f),
+        (4, 0x10c3_0c30_c30c_30c3),
+        (2, 0x1249_2492_4924_9249),
+    ];
+    let spread = |bits: u64, (shift, mask): (u32, u64)| (bits | (bits << shift)) & mask;
+    STEPS.into_iter().fold(bits, spread)
 }
 
 #[cfg(test)]
@@ -374,6 +435,26 @@ mod tests {
             }
         };
         (0..n).map(pair).collect()
+    }
+
+    #[test]
+    fn cells_are_those_of_a_plain_grid_at_every_size() {
+        let mut stream = Stream::new(4, "cells", 0);
+        let pairs = room(2000, 0.02, 0.5, 4);
+        let edge_m = 0.01 + stream.uniform();
+        let mut found = cells(&pairs, edge_m);
+        for level in 0..N_LEVELS as i32 {
+            let place = |pair: &PlanePair| {
+                let cell = pair.point.map(|v| (v / edge_m).floor() as i64);
+                cell.map(|v| v.div_euclid(2_i64.pow(level as u32)))
+            };
+            let plain: std::collections::BTreeSet<[i64; 3]> = pairs.iter().map(place).collect();
+            // Twice the edge halves the places about a corner of the grid, as here.
+            assert_eq!(found.len(), plain.len(), "{level}");
+            let all: Vector7 = found.iter().map(|cell| cell.pull).sum();
+            assert!((all + Fit::of(&pairs, Freedom::Rigid).unwrap().pull).norm() < 1e-9);
+            found = coarser(&found);
+        }
     }
 
     /// The displacement, squared and averaged over the points, that a fit to the residuals makes.

@@ -44,6 +44,7 @@ from tmchho.fused import FusedCloud
 from tmchho.inputs import CloudLike
 from tmchho.io import read, write
 from tmchho.moving import apply_transform, moved
+from tmchho.network import NetworkRegistration, Station, StationControl, register_network
 from tmchho.observations import ControlPoint, Observations, PosePrior, read_control_points
 from tmchho.optimize import minimize
 from tmchho.optimizer import MinimizeResult, Optimizer
@@ -87,6 +88,7 @@ __all__ = [
     "InvalidCloudError",
     "IssOptions",
     "MinimizeResult",
+    "NetworkRegistration",
     "NoSolutionError",
     "Observations",
     "Optimizer",
@@ -100,6 +102,8 @@ __all__ = [
     "Registration",
     "RobustSearchOptions",
     "StageRecord",
+    "Station",
+    "StationControl",
     "StoppedError",
     "TmchhoError",
     "Transform",
@@ -132,6 +136,7 @@ __all__ = [
     "read_control_points",
     "read_transform",
     "register",
+    "register_network",
     "remove_outliers",
     "rms_fitness",
     "simulate",

@@ -32,15 +32,19 @@ __all__ = [
     "kabsch",
     "levy_steps",
     "m3c2",
+    "m3c2_scales",
     "matrix_to_euler",
     "median_spacing",
     "methods",
     "minimize",
     "nearest_distances",
+    "plane_points",
     "register",
     "remove_outliers",
     "rms_fitness",
     "spacing_sample",
+    "surface_of_rounds",
+    "surface_within",
     "tile_of",
     "voxel_downsample",
 ]
@@ -80,6 +84,18 @@ def distances_within(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]: ...
 def spacing_sample(array: _Floats, n_sampled: int) -> _Floats: ...
 def tile_of(array: _Floats, axes: list[int], places: list[float]) -> NDArray[np.uint16]: ...
+def surface_within(
+    places: _Floats,
+    others: _Floats,
+    low: tuple[float, float, float] | _Floats,
+    high: tuple[float, float, float] | _Floats,
+    options_json: str,
+) -> tuple[_Floats, NDArray[np.bool_]]: ...
+def plane_points(options_json: str) -> int: ...
+def surface_of_rounds(places: _Floats, rounds: _Floats, options_json: str) -> _Floats: ...
+def m3c2_scales(
+    places: tuple[_Floats, _Floats], reference: _Floats, compared: _Floats, options_json: str
+) -> tuple[list[float], float, float, int]: ...
 def hole_radius_rule() -> tuple[float, float]: ...
 def median_spacing(array: _Floats) -> float: ...
 def euler_to_matrix(parameters: list[float]) -> _Floats: ...
@@ -103,6 +119,8 @@ class Search:
 class PointIndex:
     def __new__(cls, array: _Floats) -> PointIndex: ...
     def distances(self, array: _Floats) -> _Floats: ...
+    def k_nearest(self, array: _Floats, k: int) -> tuple[_Floats, NDArray[np.uint32]]: ...
+    def nearest_elsewhere(self, array: _Floats) -> _Floats: ...
 
 @final
 class SurfaceArea:

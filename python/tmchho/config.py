@@ -187,8 +187,11 @@ class IcpOptions:
     kept_share : float, optional
         Share of the pairs that count, closest first, in (0, 1]. Where not given, estimated from their
         distances for the methods with planes, all for point-to-point.
+    coarse_to_fine : bool, optional
+        Whether samples of the source, each eight times as large as the one before, come to rest before all
+        its points do. Where not given, yes in robust mode and no in paper mode.
     max_iterations : int, optional
-        At least 1.
+        At least 1; of every sample as well.
     relative_tolerance : float, optional
         Stop when the mean squared distance changes by less than this share of itself.
     """
@@ -197,6 +200,7 @@ class IcpOptions:
     kernel: Literal["least_squares", "tukey"] | None = None
     max_distance_m: float | None = None
     kept_share: float | None = None
+    coarse_to_fine: bool | None = None
     max_iterations: int | None = None
     relative_tolerance: float | None = None
 

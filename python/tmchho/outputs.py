@@ -11,10 +11,7 @@ import hashlib
 import json
 import os
 import platform
-import shutil
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +21,8 @@ import numpy as np
 from tmchho.cloud import PointCloud
 from tmchho.errors import ReadError, WriteError
 from tmchho.fused import lacking
-from tmchho.io import atomic_path, check_output, check_writable_folder
+from tmchho.io import check_output, check_writable_folder
+from tmchho.io.folder import staging, write_together
 from tmchho.moving import moved
 from tmchho.transform import (
     Transform,
@@ -154,79 +152,6 @@ def check_folder(
         check_output(path, True, inputs)
         if path.exists() and not overwrite:
             raise WriteError(f"{path}: exists already; choose another folder or give --overwrite")
-
-
-def write_together(
-    folder: StrPath,
-    files: Mapping[str, Callable[[Path], object]],
-    *,
-    overwrite: bool = False,
-    inputs: Iterable[StrPath] = (),
-) -> None:
-    """Write several files into a folder: every one of them is complete before the first one appears.
-
-    Parameters
-    ----------
-    folder : str or path
-        Made if it does not exist.
-    files : mapping of str to callable
-        For each name what writes the file, given a temporary path. The file named last appears first.
-    overwrite : bool, default False
-        Replace existing files.
-    inputs : iterable of str or path
-        Files that must never be replaced, even with `overwrite`.
-
-    Raises
-    ------
-    WriteError
-        If one of them cannot be written. No file of this call stays behind, nor a folder that it made;
-        this holds for an interrupt, too.
-    """
-    folder = Path(folder)
-    with _made_folder(folder), ExitStack() as stack:
-        for name, write in files.items():
-            path = folder / name
-            temporary = stack.enter_context(atomic_path(path, overwrite, inputs))
-            try:
-                write(temporary)
-            except WriteError as error:
-                raise WriteError(str(error).replace(str(temporary), str(path))) from error.__cause__
-
-
-@contextmanager
-def _made_folder(folder: Path) -> Iterator[None]:
-    missing = [path for path in (folder, *folder.absolute().parents) if not path.exists()]
-    check_writable_folder(folder)
-    try:
-        yield
-    except BaseException:
-        for path in missing:  # the innermost first; what is not empty is not ours
-            with suppress(OSError):
-                path.rmdir()
-        raise
-
-
-@contextmanager
-def staging(folder: StrPath) -> Iterator[Path]:
-    """Lend a folder within `folder` for files on their way.
-
-    It goes whatever happens; on an error, so does every folder that had to be made.
-    """
-    folder = Path(folder)
-    with _made_folder(folder):
-        try:
-            scratch = Path(tempfile.mkdtemp(prefix=".tmchho-", dir=folder))
-        except OSError as error:
-            raise WriteError(f"{folder}: no folder can be made in it ({error.strerror})") from error
-        try:
-            yield scratch
-        except OSError as error:
-            raise WriteError(
-                f"{folder}: the intermediate files, about 20 bytes a point, and the results cannot be "
-                f"written there ({error.strerror or error}); make room or choose another folder"
-            ) from error
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
 
 
 def moved_source(registration: Registration, source: PointCloud, target: PointCloud) -> PointCloud:

@@ -17,6 +17,7 @@ from tmchho.inputs import CloudLike, naming, open_cloud
 from tmchho.observations import ControlPoint, Observations, PosePrior
 from tmchho.progress import ProgressCallback, listener
 from tmchho.results import Registration, pose_matrix
+from tmchho.room import check_room
 
 
 def register(
@@ -116,6 +117,7 @@ def register(
     tell = listener(progress)
     source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
     began = time.perf_counter()
+    check_room(len(source_cloud) + len(target_cloud))
     with naming(source_cloud, target_cloud):
         found = _core.register(source_cloud.xyz, target_cloud.xyz, settings, tell)
     return Registration._from_core(
@@ -179,6 +181,7 @@ def fuse(
         "hole_radius_m": None if hole_radius is None else checked_number("hole_radius", hole_radius),
     }
     source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
+    check_room(len(source_cloud) + len(target_cloud))
     with naming(source_cloud, target_cloud):
         fused = _core.fuse(source_cloud.xyz, target_cloud.xyz, matrix, options_json(**options))
     return FusedCloud(**fused)

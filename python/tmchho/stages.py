@@ -332,6 +332,7 @@ def icp(
     kernel: Literal["least_squares", "tukey"] | None = None,
     max_distance: float | None = None,
     kept_share: float | None = None,
+    coarse_to_fine: bool = True,
     max_iterations: int | None = None,
     relative_tolerance: float | None = None,
 ) -> IcpResult:
@@ -360,8 +361,11 @@ def icp(
     kept_share : float, optional
         Share of the pairs that count, closest first, in (0, 1]; where not given, all for point-to-point,
         estimated from their distances otherwise.
+    coarse_to_fine : bool
+        Whether samples of the source, each eight times as large as the one before, come to rest before all
+        its points do: the same pose in a fraction of the time.
     max_iterations : int, optional
-        At least 1.
+        At least 1; of every sample as well.
     relative_tolerance : float, optional
         Stop when the mean squared distance changes by less than this share of itself.
 
@@ -387,6 +391,7 @@ def icp(
         kernel=None if kernel is None else checked_choice("kernel", kernel, kernels),
         max_distance_m=_number("max_distance", max_distance),
         kept_share=_number("kept_share", kept_share),
+        coarse_to_fine=bool(coarse_to_fine),
         max_iterations=None if max_iterations is None else checked_count("max_iterations", max_iterations),
         relative_tolerance=_number("relative_tolerance", relative_tolerance),
     )

@@ -155,13 +155,16 @@ impl Objective for RmsOfPose {
     }
 
     fn evaluate_below(&self, x: &[f64], limit: f64) -> f64 {
-        rms_below(&self.source, &self.target, &pose_of(x), limit)
+        rms_below(&self.source, &self.target, &pose_of(x), limit).0
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
     use super::*;
+    use crate::parallel;
 
     #[test]
     fn the_reported_score_is_the_rms_at_the_reported_pose() {
@@ -194,6 +197,66 @@ mod tests {
         scores.dedup();
         assert_eq!(scores.len(), 7, "each method goes its own way");
         assert!(search_paper(&[], &target, &options, 1, &Progress::silent()).is_err());
+    }
+
+    /// Counts the nearest points that it seeks, abandoning poses early or not.
+    struct Counted {
+        rms: RmsOfPose,
+        abandons: bool,
+        n_searches: AtomicUsize,
+    }
+
+    impl Objective for Counted {
+        fn evaluate(&self, x: &[f64]) -> f64 {
+            self.evaluate_below(x, f64::INFINITY)
+        }
+
+        fn evaluate_below(&self, x: &[f64], limit: f64) -> f64 {
+            let limit = if self.abandons { limit } else { f64::INFINITY };
+            let (source, target) = (&self.rms.source, &self.rms.target);
+            let (rms, n_searches) = rms_below(source, target, &pose_of(x), limit);
+            self.n_searches.fetch_add(n_searches, Ordering::Relaxed);
+            rms
+        }
+    }
+
+    #[test]
+    fn abandoning_poses_early_spares_searches_and_changes_nothing() {
+        let mut stream = Stream::new(1, "hills", 0);
+        let mut hills = |n: usize| -> Vec<Point> {
+            let mut point = || [stream.uniform(), stream.uniform()].map(|v| 4.0 * v - 2.0);
+            (0..n)
+                .map(|_| point())
+                .map(|[x, y]| [x, y, (2.0 * x).sin() * y.cos()])
+                .collect()
+        };
+        let (source, target) = (hills(150), hills(300));
+        let bounds = Bounds::cube(6, -2.0, 2.0).unwrap();
+        let run = |abandons| {
+            // On one thread nobody looks ahead: the count is that of the search.
+            parallel::with_threads(Some(1), || {
+                let objective = Counted {
+                    rms: RmsOfPose {
+                        source: source.clone(),
+                        target: NeighborIndex::new(&target),
+                    },
+                    abandons,
+                    n_searches: AtomicUsize::new(0),
+                };
+                let options = PaperSearchOptions::default();
+                let optimizer = options.method.with_hawks(&options.hawks)?;
+                let found = optimizer.minimize_from(&objective, &bounds, 3, &[], &mut |_| {
+                    ControlFlow::Continue(())
+                })?;
+                Ok((found, objective.n_searches.into_inner()))
+            })
+            .unwrap()
+        };
+        let ((plain, n_all), (quick, n_sought)) = (run(false), run(true));
+        assert_eq!(plain, quick);
+        assert_eq!(n_all, plain.n_evaluations * source.len());
+        let spared = 1.0 - n_sought as f64 / n_all as f64;
+        assert!((0.1..0.9).contains(&spared), "{spared}");
     }
 
     #[test]

@@ -158,13 +158,14 @@ impl Pass<'_> {
         to.n_pairs += 1;
     }
 
-    /// The pairs as rows of a point-to-plane step, from which the uncertainty follows. `method` may be
-    /// another one than that of the fit.
-    pub(super) fn rows(&self, method: IcpMethod, limit_sq: f64) -> Vec<PlanePair> {
+    /// One in `stride` pairs as rows of a point-to-plane step, from which the uncertainty follows.
+    /// `method` may be another one than that of the fit.
+    pub(super) fn rows(&self, method: IcpMethod, limit_sq: f64, stride: usize) -> Vec<PlanePair> {
         let n = self.clouds.source.len();
         let chunks = parallel::map(n.div_ceil(parallel::CHUNK), |chunk| {
             let first = chunk * parallel::CHUNK;
-            self.rows_within(first..n.min(first + parallel::CHUNK), method, limit_sq)
+            let range = first..n.min(first + parallel::CHUNK);
+            self.rows_within(range, method, limit_sq, stride)
         });
         chunks.concat()
     }
@@ -174,9 +175,11 @@ impl Pass<'_> {
         range: std::ops::Range<usize>,
         method: IcpMethod,
         limit_sq: f64,
+        stride: usize,
     ) -> Vec<PlanePair> {
-        let mut rows = Vec::with_capacity(range.len());
-        for (i, j) in self.pairs.kept_within(range) {
+        let mut rows = Vec::with_capacity(range.len() / stride + 1);
+        let kept = self.pairs.kept_within(range);
+        for (i, j) in kept.filter(|(i, _)| i.is_multiple_of(stride)) {
             let (p, q) = self.places(i, j);
             let d = [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
             let mut push = |normal: Point, slope_variance: f64, strength: f64| {

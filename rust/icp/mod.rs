@@ -15,34 +15,27 @@ mod gauss_newton;
 mod misfit;
 mod options;
 mod pairs;
+mod refinement;
 mod rest;
+mod samples;
 mod sizes;
 
-use crate::cloud::{Point, distance_sq};
+use crate::cloud::Point;
 use crate::error::{Error, Result};
 use crate::freedom::Freedom;
-use crate::kabsch::PairSums;
 use crate::neighbors::NeighborIndex;
 use crate::normals::Surface;
 use crate::observations::LocalObservations;
-use crate::parallel;
-use crate::point_to_plane::ScaledPlaneSums;
 use crate::progress::{Event, Progress, Stage};
-use crate::rigid::Rigid;
 use crate::similarity::Similarity;
-use crate::uncertainty::{PoseUncertainty, effective_variance, open_motions};
+use crate::uncertainty::PoseUncertainty;
 
-use gauss_newton::Pass;
 pub use options::{IcpKernel, IcpMethod, IcpOptions};
 use pairs::Pairs;
+use refinement::Refinement;
 use rest::Rest;
+use samples::{Sample, strides};
 use serde::{Deserialize, Serialize};
-
-/// Tukey's constant: standard deviations beyond which a pair has no influence.
-const TUKEY: f64 = 4.685;
-
-/// How much firmer than by all planes together an open motion is held.
-const FIRM: f64 = 1e3;
 
 /// What ICP reads of the two clouds.
 #[derive(Debug, Clone, Copy)]
@@ -108,17 +101,26 @@ pub struct IcpResult {
     pub target_from_source: Similarity,
     /// Why it ended.
     pub stop_reason: IcpStop,
-    /// Iterations made.
+    /// Iterations made over all points; those over samples, before, are not counted.
     pub n_iterations: usize,
     /// Source points with a partner that counted, at the last iteration.
     pub n_inliers: usize,
     /// Root mean squared point distance of those pairs.
     pub inlier_rmse_m: f64,
-    /// Mean squared distance at each iteration: of points, after its step, for point-to-point; as the
+    /// Mean squared distance at each of them: of points, after its step, for point-to-point; as the
     /// method and the kernel weigh it, before its step, otherwise.
     pub history: Vec<f64>,
     /// How accurate the pose is; `None` without surfaces, or with too few pairs to tell.
     pub uncertainty: Option<PoseUncertainty>,
+}
+
+impl IcpResult {
+    fn found_a_way(&self) -> bool {
+        matches!(
+            self.stop_reason,
+            IcpStop::Converged | IcpStop::MaxIterations
+        )
+    }
 }
 
 /// Brings `source` onto `target` from `start`, which also holds what is not free: the tilt of a
@@ -162,250 +164,133 @@ pub fn icp(
     clouds.check(method)?;
     // Neighbours one after the other find their partners together.
     let order = clouds.target.places_to_ask(clouds.source);
-    let source: Vec<Point> = (0..order.len()).map(|at| *order.point(at)).collect();
-    let source_surfaces = match clouds.source_surfaces {
-        [] => Vec::new(),
-        surfaces => (0..order.len())
-            .map(|at| surfaces[order.given(at)])
-            .collect(),
-    };
-    let clouds = &Clouds {
-        source: &source,
-        source_surfaces: &source_surfaces,
-        ..*clouds
-    };
-    let mut fine = Refinement {
-        clouds,
+    let task = Task {
+        start,
         freedom,
         known,
         options,
         method,
-        pairs: Pairs::of(clouds.source.len()),
-        limit_sq: f64::INFINITY,
-        middle: [0.0; 3],
-        open: Vec::new(),
     };
-    let least_pairs = if method == IcpMethod::PointToPoint {
-        3
-    } else {
-        6
-    };
-    let mut rest = Rest::new(clouds.source, start, method);
-    let mut result = IcpResult {
-        target_from_source: *start,
-        stop_reason: IcpStop::MaxIterations,
-        n_iterations: 0,
-        n_inliers: 0,
-        inlier_rmse_m: f64::NAN,
-        history: Vec::new(),
-        uncertainty: None,
-    };
-    for iteration in 0..options.max_iterations {
-        let pose = result.target_from_source;
-        let kept_share = options.kept_share_of(method);
-        let (source, target, reach_m) = (clouds.source, clouds.target, options.max_distance_m);
-        fine.pairs
-            .find(source, target, &pose, reach_m, kept_share, progress)?;
-        if iteration == 0 {
-            fine.settle(&pose);
-        }
-        let step = match fine.pairs.n_kept >= least_pairs {
-            true => fine.step(&pose, progress)?,
-            false => None,
-        };
-        let Some(step) = step else {
-            result.stop_reason = IcpStop::NoPartners;
-            break;
-        };
-        if !(0.8..=1.25).contains(&(step.pose.scale / start.scale)) {
-            result.stop_reason = IcpStop::ScaleRanAway;
-            break;
-        }
-        result.n_iterations = iteration + 1;
-        result.n_inliers = fine.pairs.n_kept;
-        result.inlier_rmse_m = fine.pairs.rmse();
-        result.target_from_source = step.pose;
-        let last = result.history.last().copied();
-        result.history.push(step.mean_squared);
-        progress.emit(&Event::Advanced {
-            stage: Stage::Icp,
-            done: iteration + 1,
-            total: options.max_iterations,
-            best: Some(step.mean_squared.sqrt()),
-        })?;
-        let change = last.map_or(f64::INFINITY, |last| (last - step.mean_squared).abs());
-        if step.mean_squared == 0.0
-            || change <= options.relative_tolerance * step.mean_squared
-            || rest.is_reached(&step.pose, result.inlier_rmse_m)
-        {
-            result.stop_reason = IcpStop::Converged;
-            break;
+    let mut pose = *start;
+    if options.coarse_to_fine.unwrap_or(true) {
+        let target_order = clouds.target.places();
+        for stride in strides(order.len().min(target_order.len())) {
+            let source = Sample::of(&order, clouds.source_surfaces, stride);
+            let target = Sample::of(&target_order, clouds.target_surfaces, stride);
+            let clouds = Clouds {
+                source: &source.points,
+                source_surfaces: &source.surfaces,
+                target: &NeighborIndex::new(&target.points),
+                target_surfaces: &target.surfaces,
+            };
+            let found = task.run(&clouds, &pose, false, progress)?;
+            // A sample that found no way leaves it to the next one.
+            if found.found_a_way() {
+                pose = found.target_from_source;
+            }
         }
     }
-    if result.n_iterations > 0 {
-        result.uncertainty = fine.uncertainty(&result.target_from_source, result.inlier_rmse_m);
-    }
-    Ok(result)
+    let source = Sample::of(&order, clouds.source_surfaces, 1);
+    let clouds = Clouds {
+        source: &source.points,
+        source_surfaces: &source.surfaces,
+        ..*clouds
+    };
+    task.run(&clouds, &pose, true, progress)
 }
 
-struct Step {
-    pose: Similarity,
-    mean_squared: f64,
-}
-
-/// What stays from one iteration to the next.
-struct Refinement<'a> {
-    clouds: &'a Clouds<'a>,
+/// What is asked of every level of the refinement.
+struct Task<'a> {
+    /// What is not free stays as it is here.
+    start: &'a Similarity,
     freedom: Freedom,
     known: &'a LocalObservations,
     options: &'a IcpOptions,
     method: IcpMethod,
-    pairs: Pairs,
-    /// Squared residual without influence, from the residuals of the iteration before.
-    limit_sq: f64,
-    /// The middle of the first pairs, in the target: steps turn about it.
-    middle: Point,
-    /// Motions that the first pairs leave open: none is made along them.
-    open: Vec<[f64; 7]>,
 }
 
-impl Refinement<'_> {
-    fn step(&mut self, pose: &Similarity, progress: &Progress<'_>) -> Result<Option<Step>> {
-        let is_plain = self.options.kernel_of(self.method) == IcpKernel::LeastSquares;
-        if self.method == IcpMethod::PointToPoint && is_plain && self.known.is_empty() {
-            return self.step_in_closed_form(pose, progress);
-        }
-        if !is_plain && self.limit_sq.is_infinite() {
-            let first = self.pass(pose).gather(progress)?;
-            self.limit_sq = TUKEY * TUKEY * first.variance(self.method);
-        }
-        let pass = self.pass(pose);
-        let gathered = pass.gather(progress)?;
-        let (middle, mut sums) = (self.middle, gathered.sums);
-        if gathered.n_pairs < 6 && self.known.is_empty() {
-            return Ok(None);
-        }
-        if !self.known.is_empty() {
-            let rows = pass.rows(self.method, self.limit_sq);
-            let cell_m = self.cell_m(self.pairs.rmse());
-            // Pairs in too few cells cannot speak for themselves: then each counts alone.
-            let variance = effective_variance(&rows, self.freedom, cell_m)
-                .unwrap_or_else(|| gathered.mean_squared());
-            self.known.add_to(&mut sums, pose, &middle, variance);
-        }
-        // Open motions are in units of arcs, like shifts.
-        let information = sums.information();
-        let firm = FIRM * (3..6).map(|axis| information[(axis, axis)]).sum::<f64>();
-        for row in &self.open {
-            sums.add_row(row, 0.0, firm);
-        }
-        if !is_plain {
-            self.limit_sq = TUKEY * TUKEY * gathered.variance(self.method);
-        }
-        let to_middle = Similarity::from(Rigid::from_euler([0.0; 3], middle.map(|v| -v)));
-        Ok(sums.solve(self.freedom).map(|step| Step {
-            pose: to_middle.inverse() * step * to_middle * *pose,
-            mean_squared: gathered.mean_squared(),
-        }))
-    }
-
-    /// Eq. (8): the pose with the least mean squared distance between the pairs.
-    fn step_in_closed_form(
+impl Task<'_> {
+    /// Refines `pose` with the points of `clouds`; only the last level says how accurate it is.
+    fn run(
         &self,
+        clouds: &Clouds<'_>,
         pose: &Similarity,
+        is_last: bool,
         progress: &Progress<'_>,
-    ) -> Result<Option<Step>> {
-        let source = self.clouds.source;
-        // What is not free is done to the points beforehand.
-        let fixed = match self.freedom {
-            Freedom::Levelled => *pose,
-            Freedom::Rigid => Similarity {
-                scale: pose.scale,
-                rigid: Rigid::identity(),
-            },
-            Freedom::Similarity => Similarity::identity(),
+    ) -> Result<IcpResult> {
+        let (options, method) = (self.options, self.method);
+        let mut fine = Refinement {
+            clouds,
+            freedom: self.freedom,
+            known: self.known,
+            options,
+            method,
+            pairs: Pairs::of(clouds.source.len()),
+            limit_sq: f64::INFINITY,
+            middle: [0.0; 3],
+            open: Vec::new(),
         };
-        let chunks = parallel::chunks(source.len(), progress, |range| {
-            let mut sums = PairSums::default();
-            for (i, partner) in self.pairs.places_within(range) {
-                sums.add(&fixed.apply(&source[i]), partner, 1.0);
+        let least_pairs = if method == IcpMethod::PointToPoint {
+            3
+        } else {
+            6
+        };
+        let mut rest = Rest::new(clouds.source, pose, method);
+        let mut result = IcpResult {
+            target_from_source: *pose,
+            stop_reason: IcpStop::MaxIterations,
+            n_iterations: 0,
+            n_inliers: 0,
+            inlier_rmse_m: f64::NAN,
+            history: Vec::new(),
+            uncertainty: None,
+        };
+        for iteration in 0..options.max_iterations {
+            let pose = result.target_from_source;
+            let kept_share = options.kept_share_of(method);
+            let (source, target, reach_m) = (clouds.source, clouds.target, options.max_distance_m);
+            fine.pairs
+                .find(source, target, &pose, reach_m, kept_share, progress)?;
+            if iteration == 0 {
+                fine.settle(&pose);
             }
-            sums
-        })?;
-        let mut sums = PairSums::default();
-        chunks.iter().for_each(|chunk| sums.merge(chunk));
-        let found = match self.freedom {
-            Freedom::Levelled => sums.solve_levelled().map(Similarity::from),
-            Freedom::Rigid => sums.solve().map(Similarity::from),
-            Freedom::Similarity => sums.solve_similarity(),
-        };
-        let Some(found) = found else {
-            return Ok(None);
-        };
-        let pose = found * fixed;
-        let chunks = parallel::chunks(source.len(), progress, |range| {
-            let pairs = self.pairs.places_within(range);
-            pairs
-                .map(|(i, partner)| distance_sq(&pose.apply(&source[i]), partner))
-                .sum::<f64>()
-        })?;
-        Ok(Some(Step {
-            pose,
-            mean_squared: chunks.iter().sum::<f64>() / self.pairs.n_kept as f64,
-        }))
-    }
-
-    /// Settles once for all iterations what steps turn about and what they must not do.
-    fn settle(&mut self, pose: &Similarity) {
-        let n = self.pairs.n_kept as f64;
-        for (i, _) in self.pairs.kept() {
-            let moved = pose.apply(&self.clouds.source[i]);
-            (0..3).for_each(|axis| self.middle[axis] += moved[axis] / n);
+            let step = match fine.pairs.n_kept >= least_pairs {
+                true => fine.step(&pose, progress)?,
+                false => None,
+            };
+            let Some(step) = step else {
+                result.stop_reason = IcpStop::NoPartners;
+                break;
+            };
+            if !(0.8..=1.25).contains(&(step.pose.scale / self.start.scale)) {
+                result.stop_reason = IcpStop::ScaleRanAway;
+                break;
+            }
+            result.n_iterations = iteration + 1;
+            result.n_inliers = fine.pairs.n_kept;
+            result.inlier_rmse_m = fine.pairs.rmse();
+            result.target_from_source = step.pose;
+            let last = result.history.last().copied();
+            result.history.push(step.mean_squared);
+            progress.emit(&Event::Advanced {
+                stage: Stage::Icp,
+                done: iteration + 1,
+                total: options.max_iterations,
+                best: Some(step.mean_squared.sqrt()),
+            })?;
+            let change = last.map_or(f64::INFINITY, |last| (last - step.mean_squared).abs());
+            if step.mean_squared == 0.0
+                || change <= options.relative_tolerance * step.mean_squared
+                || rest.is_reached(&step.pose, result.inlier_rmse_m)
+            {
+                result.stop_reason = IcpStop::Converged;
+                break;
+            }
         }
-        if self.method != IcpMethod::PointToPoint {
-            let rows = self.pass(pose).rows(self.method, f64::INFINITY);
-            self.open = open_motions(&rows, self.freedom, &self.others(pose));
+        if result.n_iterations > 0 && is_last {
+            result.uncertainty = fine.uncertainty(&result.target_from_source, result.inlier_rmse_m);
         }
-    }
-
-    /// The observations beside the clouds, alone.
-    fn others(&self, pose: &Similarity) -> ScaledPlaneSums {
-        let mut others = ScaledPlaneSums::default();
-        self.known.add_to(&mut others, pose, &self.middle, 1.0);
-        others
-    }
-
-    fn pass(&self, pose: &Similarity) -> Pass<'_> {
-        Pass {
-            clouds: self.clouds,
-            pairs: &self.pairs,
-            pose: *pose,
-            middle: self.middle,
-            method: self.method,
-            limit_sq: self.limit_sq,
-        }
-    }
-
-    /// Edge of the cells in which residuals hang together: a few spacings of the points, which the
-    /// distances of the pairs tell.
-    fn cell_m(&self, rmse_m: f64) -> f64 {
-        const SPACINGS: f64 = 4.0;
-        let reach_m = self.options.max_distance_m.unwrap_or(rmse_m);
-        SPACINGS * reach_m.max(f64::MIN_POSITIVE)
-    }
-
-    /// How accurate the pose is, by the planes of the pairs whatever the method.
-    fn uncertainty(&self, pose: &Similarity, rmse_m: f64) -> Option<PoseUncertainty> {
-        if self.clouds.target_surfaces.is_empty() {
-            return None;
-        }
-        let cell_m = self.cell_m(rmse_m);
-        let (method, limit_sq) = match self.method {
-            IcpMethod::PointToPoint => (IcpMethod::PointToPlane, f64::INFINITY),
-            method => (method, self.limit_sq),
-        };
-        let rows = self.pass(pose).rows(method, limit_sq);
-        PoseUncertainty::of_pairs(&rows, self.middle, self.freedom, &self.others(pose), cell_m)
+        Ok(result)
     }
 }
 
@@ -414,6 +299,7 @@ mod tests {
     use super::*;
     use crate::normals;
     use crate::random::Stream;
+    use crate::rigid::Rigid;
 
     /// A wavy sheet with a step in it: enough shape for a unique pose.
     fn sheet(n: usize, seed: u64) -> Vec<Point> {
@@ -467,6 +353,56 @@ mod tests {
             );
             assert_eq!(found.stop_reason, IcpStop::Converged);
             assert_eq!(found.n_inliers, 2000);
+        }
+    }
+
+    #[test]
+    fn samples_first_lead_to_the_same_pose_in_fewer_steps_of_all_points() {
+        let (target, source) = (sheet(20_000, 4), sheet(20_000, 5));
+        let away = Rigid::from_euler([0.02, -0.01, 0.03], [0.02, 0.01, -0.02]);
+        let source: Vec<Point> = source.iter().map(|p| away.apply(p)).collect();
+        let index = NeighborIndex::new(&target);
+        let surfaces = |points: &[Point]| {
+            let index = NeighborIndex::new(points);
+            normals::estimate(points, &index, 16, &Progress::silent()).unwrap()
+        };
+        let (of_source, of_target) = (surfaces(&source), surfaces(&target));
+        let clouds = Clouds {
+            source: &source,
+            source_surfaces: &of_source,
+            target: &index,
+            target_surfaces: &of_target,
+        };
+        for method in [
+            IcpMethod::PointToPoint,
+            IcpMethod::PointToPlane,
+            IcpMethod::PlaneToPlane,
+        ] {
+            let run = |coarse_to_fine| {
+                let options = IcpOptions {
+                    method: Some(method),
+                    coarse_to_fine: Some(coarse_to_fine),
+                    max_iterations: 200,
+                    relative_tolerance: 1e-9,
+                    ..IcpOptions::default()
+                };
+                let (start, nothing) = (Similarity::identity(), LocalObservations::default());
+                let silent = Progress::silent();
+                icp(&clouds, &start, Freedom::Rigid, &nothing, &options, &silent).unwrap()
+            };
+            let (plain, quick) = (run(false), run(true));
+            let rigid = |found: &IcpResult| found.target_from_source.rigid;
+            let apart = rigid(&plain) * rigid(&quick).inverse();
+            // A tenth of the distance of the points would be 0.0007.
+            assert!(apart.rotation_angle_rad() < 1e-4, "{method:?}");
+            assert!(apart.translation.norm() < 1e-4, "{method:?}");
+            assert!(
+                quick.n_iterations < plain.n_iterations,
+                "{method:?}: {} {}",
+                quick.n_iterations,
+                plain.n_iterations
+            );
+            assert_eq!(quick.history.len(), quick.n_iterations);
         }
     }
 

@@ -40,7 +40,10 @@ pub struct IcpOptions {
     /// Share of the pairs that count, closest first, in (0, 1]. `None`: estimated from their distances
     /// for the methods with planes, all for point-to-point.
     pub kept_share: Option<f64>,
-    /// At most so many iterations, at least 1.
+    /// Whether samples of the source, each eight times as large as the one before, come to rest before
+    /// all its points do: the same pose in a fraction of the time. `None`: yes, but not in paper mode.
+    pub coarse_to_fine: Option<bool>,
+    /// At most so many iterations, at least 1; of every sample as well.
     pub max_iterations: usize,
     /// Stop when the mean squared distance changes by less than this share of itself.
     pub relative_tolerance: f64,
@@ -53,6 +56,7 @@ impl Default for IcpOptions {
             kernel: None,
             max_distance_m: None,
             kept_share: None,
+            coarse_to_fine: None,
             max_iterations: 50,
             relative_tolerance: 1e-6,
         }

@@ -47,16 +47,38 @@ impl M3c2Scales {
         options: &M3c2Options,
         progress: &Progress<'_>,
     ) -> Result<Self> {
+        let places = [reference, compared].map(sample_places);
+        Self::derive_at(
+            [&places[0], &places[1]],
+            reference,
+            compared,
+            options,
+            progress,
+        )
+    }
+
+    /// The same from given places of the reference and of the compared cloud, of which nothing but what
+    /// lies round these places need be there.
+    ///
+    /// # Errors
+    /// As [`M3c2Scales::derive`].
+    pub fn derive_at(
+        places: [&[Point]; 2],
+        reference: &NeighborIndex,
+        compared: &NeighborIndex,
+        options: &M3c2Options,
+        progress: &Progress<'_>,
+    ) -> Result<Self> {
         options.check()?;
         let cylinder_radius_m = match options.cylinder_radius_m {
             Some(radius_m) => radius_m,
-            None => radius_of_points(reference, "reference cloud")?
-                .max(radius_of_points(compared, "compared cloud")?),
+            None => radius_of_points(places[0], reference, "reference cloud")?
+                .max(radius_of_points(places[1], compared, "compared cloud")?),
         };
         let normal_radii_m = match &options.normal_radii_m {
             Some(radii_m) => radii_m.clone(),
             None => {
-                let radius_m = flat_radius(reference, cylinder_radius_m, progress)?;
+                let radius_m = flat_radius(places[0], reference, cylinder_radius_m, progress)?;
                 vec![radius_m, NEXT_NORMAL_SCALE * radius_m]
             }
         };
@@ -70,18 +92,24 @@ impl M3c2Scales {
     }
 }
 
-/// The radius within which nine points in ten have 20 of their own cloud, themselves included.
-fn radius_of_points(cloud: &NeighborIndex, what: &str) -> Result<f64> {
-    if cloud.len() < 3 {
+/// Places at which lengths are looked at: evenly strided points.
+fn sample_places(cloud: &NeighborIndex) -> Vec<Point> {
+    let stride = cloud.len().div_ceil(SAMPLE_PLACES).max(1);
+    cloud.points().iter().step_by(stride).copied().collect()
+}
+
+/// The radius within which nine places in ten have 20 points of their own cloud, themselves included.
+fn radius_of_points(places: &[Point], cloud: &NeighborIndex, what: &str) -> Result<f64> {
+    if cloud.len() < 3 || places.is_empty() {
         return Err(Error::TooFewPoints {
             what: what.into(),
             found: cloud.len(),
             needed: 3,
         });
     }
-    let mut radii_sq = sampled(cloud, |place| {
+    let mut radii_sq = parallel::map(places.len(), |i| {
         let mut found = Vec::new();
-        cloud.k_nearest(place, POINTS_IN_CYLINDER, &mut found);
+        cloud.k_nearest(&places[i], POINTS_IN_CYLINDER, &mut found);
         found.last().map_or(0.0, |farthest| farthest.distance_sq)
     });
     let rank = (MOST * (radii_sq.len() - 1) as f64).round() as usize;
@@ -93,14 +121,19 @@ fn radius_of_points(cloud: &NeighborIndex, what: &str) -> Result<f64> {
 }
 
 /// The first of the radii across which the surface is flat.
-fn flat_radius(cloud: &NeighborIndex, unit_m: f64, progress: &Progress<'_>) -> Result<f64> {
+fn flat_radius(
+    places: &[Point],
+    cloud: &NeighborIndex,
+    unit_m: f64,
+    progress: &Progress<'_>,
+) -> Result<f64> {
     let mut radius_m = unit_m;
     for factor in NORMAL_RADII {
         progress.check()?;
         radius_m = factor * unit_m;
-        let mut roughness: Vec<f64> = sampled(cloud, |place| {
+        let mut roughness: Vec<f64> = parallel::map(places.len(), |i| {
             let mut ball = Moments::default();
-            cloud.each_in_ball(place, radius_m, |offset, _| ball.add(offset));
+            cloud.each_in_ball(&places[i], radius_m, |offset, _| ball.add(offset));
             ball.plane().map_or(f64::INFINITY, |(lambda, _)| {
                 (lambda[2].max(0.0) / f64::from(ball.n)).sqrt()
             })
@@ -112,12 +145,4 @@ fn flat_radius(cloud: &NeighborIndex, unit_m: f64, progress: &Progress<'_>) -> R
         }
     }
     Ok(radius_m)
-}
-
-/// `f` of evenly strided points; at least one, of a cloud that is not empty.
-fn sampled(cloud: &NeighborIndex, f: impl Fn(&Point) -> f64 + Sync + Send) -> Vec<f64> {
-    let stride = cloud.len().div_ceil(SAMPLE_PLACES).max(1);
-    parallel::map(cloud.len().div_ceil(stride), |i| {
-        f(&cloud.points()[i * stride])
-    })
 }

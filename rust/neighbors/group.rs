@@ -185,7 +185,7 @@ impl Places {
     }
 
     /// `points` in the order in which they come.
-    pub(super) fn as_given(points: &[Point]) -> Self {
+    pub(crate) fn as_given(points: &[Point]) -> Self {
         Self {
             entries: parallel::map(points.len(), |i| Entry {
                 point: points[i],

@@ -48,6 +48,10 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(streams::spacing_sample, module)?)?;
     module.add_function(wrap_pyfunction!(streams::tile_of, module)?)?;
     module.add_function(wrap_pyfunction!(streams::hole_radius_rule, module)?)?;
+    module.add_function(wrap_pyfunction!(streams::surface_within, module)?)?;
+    module.add_function(wrap_pyfunction!(streams::plane_points, module)?)?;
+    module.add_function(wrap_pyfunction!(streams::surface_of_rounds, module)?)?;
+    module.add_function(wrap_pyfunction!(streams::m3c2_scales, module)?)?;
     module.add_class::<streams::RunningVoxels>()?;
     module.add_class::<streams::PointIndex>()?;
     module.add_class::<streams::SurfaceArea>()?;

@@ -4,10 +4,14 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use super::arrays::{ReadArray, dict, from_points, from_vec, points};
+use super::config::options;
+use super::errors::as_argument;
 use super::run::{briefly, with_progress};
-use crate::cloud::{Cloud, Point};
+use crate::cloud::{Cloud, Point, difference};
 use crate::error::Error;
-use crate::neighbors::{Neighbor, NeighborIndex, Places};
+use crate::evaluate::{CompareOptions, DistanceMethod, surface_distances};
+use crate::m3c2::{M3c2Options, M3c2Scales};
+use crate::neighbors::{Neighbor, NeighborIndex, Places, map_places};
 use crate::overlap;
 use crate::parallel;
 use crate::running_voxels::{self, Thinned};
@@ -167,6 +171,200 @@ impl PointIndex {
         })?;
         briefly(|| Ok(from_vec(py, distances)))
     }
+
+    /// The `k` nearest points of each row: distances, then row numbers of the points, each n·k long; the
+    /// distances are infinite where there are no more.
+    fn k_nearest<'py>(
+        &self,
+        py: Python<'py>,
+        array: ReadArray<'py>,
+        k: usize,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let given = points(&array)?;
+        let found = with_progress(py, None, |progress| {
+            let places = self.local(given);
+            parallel::map_cheap(places.len(), progress, |i| {
+                let mut found = Vec::new();
+                self.index.k_nearest(&places[i], k, &mut found);
+                found
+            })
+        })?;
+        briefly(|| {
+            let filled = |f: fn(&Neighbor) -> f64| {
+                let rows = found.iter().flat_map(move |row| {
+                    (0..k).map(move |rank| row.get(rank).map_or(f64::INFINITY, f))
+                });
+                rows.collect::<Vec<f64>>()
+            };
+            let distances = filled(|neighbor| neighbor.distance_sq.sqrt());
+            let numbers = found.iter().flat_map(|row| {
+                (0..k).map(move |rank| row.get(rank).map_or(0, |neighbor| neighbor.index))
+            });
+            Ok((
+                from_vec(py, distances),
+                from_vec(py, numbers.collect::<Vec<u32>>()),
+            ))
+        })
+    }
+
+    /// From each row to the nearest of the points that lies at another place; infinite without one.
+    fn nearest_elsewhere<'py>(
+        &self,
+        py: Python<'py>,
+        array: ReadArray<'py>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let given = points(&array)?;
+        let distances = with_progress(py, None, |progress| {
+            let places = self.local(given);
+            parallel::map_cheap(places.len(), progress, |i| {
+                let found = self.index.nearest_elsewhere(&places[i]);
+                found.map_or(f64::INFINITY, |neighbor| neighbor.distance_sq.sqrt())
+            })
+        })?;
+        briefly(|| Ok(from_vec(py, distances)))
+    }
+}
+
+impl PointIndex {
+    fn local(&self, given: &[Point]) -> Vec<Point> {
+        given.iter().map(|p| difference(p, &self.origin)).collect()
+    }
+}
+
+/// From each row of `places` to the surface between the rows of `others`, and whether that is what it is
+/// for their whole cloud: `others` are all of its points between the corners `low` and `high`.
+#[pyfunction]
+pub(super) fn surface_within<'py>(
+    py: Python<'py>,
+    places: ReadArray<'py>,
+    others: ReadArray<'py>,
+    low: Point,
+    high: Point,
+    options_json: &str,
+) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+    let (places, others) = (points(&places)?, points(&others)?);
+    let options: CompareOptions = briefly(|| Ok(options(options_json)?))?;
+    let (method, k) = (options.method, options.n_neighbors);
+    let (distances, settled) = with_progress(py, None, |progress| {
+        let others = Cloud::of_any_shape("cloud that distances are measured to", others)?;
+        let origin = others.origin();
+        let (low, high) = (difference(&low, &origin), difference(&high, &origin));
+        let places: Vec<Point> = places.iter().map(|p| difference(p, &origin)).collect();
+        let index = NeighborIndex::new(others.points());
+        let distances = surface_distances(&places, &index, method, k, progress)?;
+        let n_axes = if method == DistanceMethod::Vertical {
+            2
+        } else {
+            3
+        };
+        // What lies nearer to a place than the corners is known.
+        let clearance = |p: &Point| {
+            let sides = (0..n_axes).map(|axis| (p[axis] - low[axis]).min(high[axis] - p[axis]));
+            sides.fold(f64::INFINITY, f64::min)
+        };
+        let holds = |found: &[Neighbor], wanted: usize, clearance: f64| match found.last() {
+            Some(last) if found.len() >= wanted => last.distance_sq.sqrt() <= clearance,
+            _ => clearance == f64::INFINITY,
+        };
+        let settled = match method {
+            DistanceMethod::Nearest => {
+                let within = distances.iter().zip(&places);
+                within.map(|(d, p)| *d <= clearance(p)).collect()
+            }
+            DistanceMethod::Vertical => {
+                let flat = |p: &Point| [p[0], p[1], 0.0];
+                let plan: Vec<Point> = index.points().iter().map(flat).collect();
+                let plan = NeighborIndex::new(&plan);
+                map_places(&places, progress, Vec::new, |found, i| {
+                    plan.k_nearest(&flat(&places[i]), k, found);
+                    holds(found, k, clearance(&places[i]))
+                })?
+            }
+            DistanceMethod::Plane | DistanceMethod::Normal => {
+                let nearest = index.nearest_all(&places, progress)?;
+                map_places(&places, progress, Vec::new, |found, i| {
+                    let foot = &index.points()[nearest[i].index as usize];
+                    index.k_nearest(foot, k, found);
+                    nearest[i].distance_sq.sqrt() <= clearance(&places[i])
+                        && holds(found, k, clearance(foot))
+                })?
+            }
+        };
+        Ok((distances, settled))
+    })?;
+    briefly(|| Ok((from_vec(py, distances), from_vec::<bool>(py, settled))))
+}
+
+/// Through how many points a plane goes.
+#[pyfunction]
+pub(super) fn plane_points(options_json: &str) -> PyResult<usize> {
+    briefly(|| Ok(options::<CompareOptions>(options_json)?.n_neighbors))
+}
+
+/// From each row of `places` to the surface between as many rows of `rounds` each, in their order.
+#[pyfunction]
+pub(super) fn surface_of_rounds<'py>(
+    py: Python<'py>,
+    places: ReadArray<'py>,
+    rounds: ReadArray<'py>,
+    options_json: &str,
+) -> PyResult<Bound<'py, PyAny>> {
+    let (places, rounds) = (points(&places)?, points(&rounds)?);
+    let options: CompareOptions = briefly(|| Ok(options(options_json)?))?;
+    let distances = with_progress(py, None, |progress| {
+        let n_each = rounds.len() / places.len().max(1);
+        let one = |i: usize| {
+            let round = &rounds[i * n_each..(i + 1) * n_each];
+            let local: Vec<Point> = round.iter().map(|p| difference(p, &places[i])).collect();
+            let index = NeighborIndex::new(&local);
+            let k = options.n_neighbors;
+            surface_distances(&[[0.0; 3]], &index, options.method, k, progress)
+                .map(|found| found[0])
+        };
+        (0..places.len())
+            .map(one)
+            .collect::<crate::Result<Vec<f64>>>()
+    })?;
+    briefly(|| Ok(from_vec(py, distances)))
+}
+
+/// The lengths of M3C2 from places of both clouds, of which only what lies round these places is there:
+/// radii for normals, radius and depth of the cylinder, and the points that a significant change needs.
+#[pyfunction]
+pub(super) fn m3c2_scales<'py>(
+    py: Python<'py>,
+    places: (ReadArray<'py>, ReadArray<'py>),
+    reference: ReadArray<'py>,
+    compared: ReadArray<'py>,
+    options_json: &str,
+) -> PyResult<(Vec<f64>, f64, f64, usize)> {
+    let at = (points(&places.0)?, points(&places.1)?);
+    let (reference, compared) = (points(&reference)?, points(&compared)?);
+    let options: M3c2Options = briefly(|| Ok(options(options_json)?))?;
+    with_progress(py, None, |progress| {
+        let reference = Cloud::of_any_shape("target cloud", reference)?;
+        let compared = Cloud::of_any_shape("source cloud", compared)?;
+        let local = |places: &[Point], cloud: &Cloud| -> Vec<Point> {
+            places
+                .iter()
+                .map(|p| difference(p, &cloud.origin()))
+                .collect()
+        };
+        let scales = M3c2Scales::derive_at(
+            [&local(at.0, &reference), &local(at.1, &compared)],
+            &NeighborIndex::new(reference.points()),
+            &NeighborIndex::new(compared.points()),
+            &options,
+            progress,
+        );
+        let scales = scales.map_err(as_argument)?;
+        Ok((
+            scales.normal_radii_m,
+            scales.cylinder_radius_m,
+            scales.max_depth_m,
+            options.min_points,
+        ))
+    })
 }
 
 /// Distances from at most `n_sampled` rows, evenly strided, to the nearest row elsewhere.

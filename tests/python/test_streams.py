@@ -343,8 +343,9 @@ def test_the_command_works_in_parts_by_itself(
     documents = [json.loads(result.stdout) for result in (whole, parts)]
     assert "in_parts" not in documents[0]
     assert documents[1]["in_parts"]["max_memory"] == 300_000_000
-    # Figures by area need both clouds as wholes.
-    assert set(documents[0]) - {"areas", "distances"} < set(documents[1])
+    assert set(documents[0]) < set(documents[1])
+    assert_same_areas(*documents)
+    assert "area 1" in (tmp_path / "parts" / "report.html").read_text(encoding="utf-8")
     assert set(documents[0]["fused"]) == set(documents[1]["fused"])
     for name in ("fused.laz", "source_registered.laz"):
         of_whole, of_parts = (tmchho.read(tmp_path / which / name) for which in ("whole", "parts"))
@@ -357,6 +358,23 @@ def test_the_command_works_in_parts_by_itself(
     names = [sorted(path.name for path in (tmp_path / which).iterdir()) for which in ("whole", "parts")]
     assert names[0] == names[1]
     assert "--keep-class 1,2,3,4,5,6,7" in documents[1]["command"]
+
+
+def assert_same_areas(whole: dict[str, Any], parts: dict[str, Any]) -> None:
+    """The poses differ by millimetres, so that the figures do."""
+    assert [row["name"] for row in parts["areas"]] == [row["name"] for row in whole["areas"]]
+    for row, wanted in zip(parts["areas"], whole["areas"], strict=True):
+        assert row["n_points"] == pytest.approx(wanted["n_points"], rel=0.03)
+        assert row["mean"] == pytest.approx(wanted["mean"], rel=0.03)
+        assert row["completeness_after"] == pytest.approx(wanted["completeness_after"], abs=0.02)
+    for direction in ("source_to_target", "target_to_source"):
+        found, wanted = (document["distances"][direction] for document in (parts, whole))
+        assert set(found) == set(wanted)
+        assert found["n_points"] + found["n_beyond"] == wanted["n_points"] + wanted["n_beyond"]
+        assert found["median"] == pytest.approx(wanted["median"], rel=0.02)
+    for side in ("source", "target"):
+        spacing = parts["distances"]["spacing"][side]
+        assert spacing == pytest.approx(whole["distances"]["spacing"][side], rel=1e-6)
 
 
 def test_other_formats_cannot_be_read_in_parts(

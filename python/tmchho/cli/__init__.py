@@ -12,6 +12,7 @@ from tmchho.cli.demo import demo
 from tmchho.cli.evaluate import evaluate
 from tmchho.cli.failures import EXIT_CODES, Commands
 from tmchho.cli.info import info
+from tmchho.cli.network import network
 from tmchho.cli.paper import paper
 from tmchho.cli.register import register
 from tmchho.cli.report import report
@@ -42,7 +43,7 @@ def main() -> None:
     """
 
 
-for _command in (register, evaluate, apply, info, demo, config, paper, report, view):
+for _command in (register, network, evaluate, apply, info, demo, config, paper, report, view):
     main.add_command(_command)
 
 __all__ = ["main"]

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from tmchho.cli.display import display
+from tmchho.cli.display import Display, display
 from tmchho.cli.failures import debug_option
 from tmchho.cli.options import (
     PATH,
     areas_option,
     boxes,
     json_option,
+    max_memory_option,
     output_option,
     overwrite_option,
     positive,
@@ -23,7 +25,7 @@ from tmchho.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from tmchho import Change, Evaluation, PointCloud
+    from tmchho import Area, Change, Evaluation
 
 _EXAMPLES = """\b
 Examples:
@@ -116,6 +118,7 @@ _FORMS = ("laz", "csv", "coloured-laz", "coloured-ply")
     default=_FORMS[:3],
     help="Forms in which clouds are written. Can be repeated.  [default: laz, csv, coloured-laz]",
 )
+@max_memory_option
 @json_option
 @quiet_option
 @overwrite_option
@@ -147,84 +150,111 @@ def evaluate(
     """  # noqa: D301 (\b is for click: keep these lines as they are)
     import numpy as np
 
-    from tmchho import read
-    from tmchho.evaluation.files import write_evaluation
     from tmchho.outputs import check_folder, json_text, read_matrix
+    from tmchho.streams import default_max_memory, needs_streams
 
     matrix = np.eye(4) if transform is None else read_matrix(transform)
     if output is not None:
         check_folder(output, names=(), overwrite=overwrite, inputs=(source, target))
+    job = EvaluationJob(source, target, matrix, transform, output, overwrite, options)
+    allowed = options["max_memory"] or default_max_memory()
     with display(quiet) as shown:
-        with shown.step("read", f"reading {source}"):
-            source_cloud = read(source)
-        with shown.step("read", f"reading {target}"):
-            target_cloud = read(target)
-        with shown.step("evaluate", "measuring"):
-            result = _measure(source_cloud, target_cloud, matrix, transform, options)
-        for warning in result.warnings:
-            shown.warn(warning)
-        document = {
-            "source": source.name,
-            "target": target.name,
-            "transformation": matrix.tolist(),
-            **result.to_dict(),
-        }
-        written: tuple[Path, ...] = ()
-        if output is not None:
-            with shown.step("write", "writing"):
-                written = write_evaluation(
-                    output,
-                    result,
-                    source_cloud,
-                    target_cloud,
-                    matrix,
-                    document,
-                    forms=options["forms"],
-                    overwrite=overwrite,
-                    inputs=(source, target),
-                )
+        if needs_streams((source, target), allowed):
+            from tmchho.cli.streamed_evaluate import evaluate_in_parts
+
+            document, written = evaluate_in_parts(job, shown, allowed)
+        else:
+            document, written = _evaluate(job, shown)
     if as_json:
         click.echo(json_text(document), nl=False)
     else:
         click.echo("\n\n".join([*_tables(document), *_written(written)]))
 
 
-def _measure(
-    source: PointCloud,
-    target: PointCloud,
-    matrix: Any,
-    transform: Path | None,
-    options: Mapping[str, Any],
-) -> Evaluation | Change:
-    from tmchho import evaluate, m3c2
-    from tmchho.evaluation import read_areas
+@dataclass(frozen=True)
+class EvaluationJob:
+    """Two files to measure, where they lie, and what was asked for."""
 
-    areas: Any = list(options["area_boxes"])
-    if options["areas"] is not None:
-        areas = [*read_areas(options["areas"], target.crs), *areas]
-    areas = areas or "automatic"
-    if options["method"] != "m3c2":
-        return evaluate(
-            source,
-            target,
-            matrix,
-            method=options["method"],
-            tolerance=options["tolerance"],
-            max_distance=options["max_distance"],
-            areas=areas,
-        )
-    error = options["registration_error"]
-    return m3c2(
-        source,
-        target,
-        matrix,
-        normal_radii=options["normal_radius"] or None,
-        cylinder_radius=options["cylinder_radius"],
-        max_depth=options["max_depth"],
-        registration_error=_recorded_error(transform) if error is None else error,
-        tolerance=options["tolerance"],
-        areas=areas,
-    )
+    source: Path
+    target: Path
+    matrix: Any
+    transform: Path | None
+    output: Path | None
+    overwrite: bool
+    options: Mapping[str, Any]
+
+    def areas(self, crs: str | None) -> list[Area]:
+        """Return the areas that were asked for, in the target's system."""
+        from tmchho.evaluation import read_areas
+
+        given = self.options["areas"]
+        return [*([] if given is None else read_areas(given, crs)), *self.options["area_boxes"]]
+
+    @property
+    def for_distances(self) -> dict[str, Any]:
+        """Arguments of `tmchho.evaluate`."""
+        return {name: self.options[name] for name in ("method", "tolerance", "max_distance")}
+
+    @property
+    def for_change(self) -> dict[str, Any]:
+        """Arguments of `tmchho.m3c2`."""
+        error = self.options["registration_error"]
+        return {
+            "normal_radii": self.options["normal_radius"] or None,
+            "cylinder_radius": self.options["cylinder_radius"],
+            "max_depth": self.options["max_depth"],
+            "registration_error": _recorded_error(self.transform) if error is None else error,
+            "tolerance": self.options["tolerance"],
+        }
+
+    def document(self, result: Any) -> dict[str, Any]:
+        """Return what ``evaluation.json`` holds."""
+        return {
+            "source": self.source.name,
+            "target": self.target.name,
+            "transformation": self.matrix.tolist(),
+            **result.to_dict(),
+        }
+
+
+def _evaluate(job: EvaluationJob, shown: Display) -> tuple[dict[str, Any], tuple[Path, ...]]:
+    """Measure both files as wholes."""
+    from tmchho import evaluate, m3c2, read
+    from tmchho.evaluation.files import write_evaluation
+    from tmchho.io.unchanged import Unchanged
+
+    unchanged = Unchanged((job.source, job.target))
+    clouds = []
+    for path in (job.source, job.target):
+        with shown.step("read", f"reading {path}"):
+            clouds.append(read(path))
+    source, target = clouds
+    with shown.step("evaluate", "measuring"):
+        areas: Any = job.areas(target.crs) or "automatic"
+        result: Evaluation | Change
+        if job.options["method"] == "m3c2":
+            result = m3c2(source, target, job.matrix, areas=areas, **job.for_change)
+        else:
+            result = evaluate(source, target, job.matrix, areas=areas, **job.for_distances)
+    for warning in result.warnings:
+        shown.warn(warning)
+    unchanged.check()
+    document = job.document(result)
+    written: tuple[Path, ...] = ()
+    if job.output is not None:
+        with shown.step("write", "writing"):
+            written = write_evaluation(
+                job.output,
+                result,
+                source,
+                target,
+                job.matrix,
+                document,
+                forms=job.options["forms"],
+                overwrite=job.overwrite,
+                inputs=(job.source, job.target),
+            )
+    return document, written
 
 
 def _recorded_error(transform: Path | None) -> float | None:

@@ -96,6 +96,13 @@ def positive(_context: click.Context, _option: click.Parameter, value: float | N
     return value
 
 
+max_memory_option = click.option(
+    "--max-memory",
+    callback=memory,
+    metavar="SIZE",
+    help="Such as 2GB. LAS and LAZ files that need more are worked on in parts.  [default: half of the "
+    "machine's]",
+)
 areas_option = click.option(
     "--areas",
     type=PATH,

@@ -19,7 +19,7 @@ from tmchho.cli.options import (
     areas_option,
     classes,
     json_option,
-    memory,
+    max_memory_option,
     output_option,
     overwrite_option,
     positive,
@@ -144,13 +144,7 @@ _REPLAYED = (
     is_flag=True,
     help="Go on where the coordinate reference systems of the files differ: the result is in that of TARGET.",
 )
-@click.option(
-    "--max-memory",
-    callback=memory,
-    metavar="SIZE",
-    help="Such as 2GB. LAS and LAZ files that need more are worked on in parts.  [default: half of the "
-    "machine's]",
-)
+@max_memory_option
 @click.option(
     "--max-seconds",
     type=float,

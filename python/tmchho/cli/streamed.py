@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tmchho.cli.crs import crs_name
 from tmchho.cli.display import Display
-from tmchho.cli.workflow import Job, Outcome, check_crs, remove_others
+from tmchho.cli.workflow import Job, Outcome, check_crs, write_results
 from tmchho.errors import BudgetError, WriteError
 
 if TYPE_CHECKING:
@@ -28,8 +28,8 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
     TmchhoError
         As its class says; no file was written then.
     """
-    from tmchho import PointCloud
-    from tmchho.io import is_las, open_las
+    from tmchho import PointCloud, read_areas
+    from tmchho.io.unchanged import Unchanged
     from tmchho.outputs import (
         FUSED,
         REPORT_POINTS,
@@ -40,7 +40,6 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         pose_files,
         result_document,
         staging,
-        write_together,
     )
     from tmchho.report.described import describe_parts
     from tmchho.report.fused_points import points_of_fused_file
@@ -49,13 +48,8 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
     from tmchho.transform import Transform
 
     paths = (job.source, job.target)
-    for path in paths:
-        if not is_las(path):
-            raise BudgetError(
-                f"{path}: together with the other file needs more memory than is allowed, and only LAS and "
-                "LAZ can be read in parts; convert it to LAZ, or allow more with --max-memory"
-            )
-    source, target = open_las(job.source), open_las(job.target)
+    unchanged = Unchanged(paths)
+    source, target = (open_in_parts(path) for path in paths)
     if source.header.has_waveforms:
         raise WriteError(
             f"{job.source}: LAZ cannot hold waveforms; convert the file to a format without them"
@@ -69,6 +63,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
         assume_same=job.assume_same_crs,
         shown=shown,
     )
+    areas = None if job.areas is None else read_areas(job.areas, target.crs)
     with shown.step("read", "taking checksums"):
         files = (InputFile.of(job.source, len(source)), InputFile.of(job.target, len(target)))
     keeps = [
@@ -102,8 +97,8 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             RESULT: lambda path: path.write_text(text, encoding="utf-8", newline="\n"),
             REPORT_POINTS: points_of(registration, *thinned, None).save,
         }
-        write_together(job.folder, rejected, overwrite=job.overwrite, inputs=paths)
-        return Outcome(registration, document, remove_others(job.folder, rejected))
+        unchanged.check()
+        return Outcome(registration, document, write_results(job, rejected))
     options = registration.config["fuse"]
     with staging(job.folder) as scratch:
         with shown.step("fuse", "measuring and fusing in tiles"):
@@ -120,6 +115,8 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
                 hole_radius=options["hole_radius_m"],
                 max_distance=registration.max_distance,
                 max_memory=max_memory,
+                areas=areas,
+                tolerance=job.tolerance,
             )
         registration = replace(
             registration,
@@ -128,7 +125,7 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             overlap_of_source=fusion.overlap_of_source,
             overlap_of_target=fusion.overlap_of_target,
         )
-        document = document_of(registration, fusion.report)
+        document = document_of(registration, fusion.report) | fusion.entries
         document["in_parts"] = {
             "max_memory": max_memory,
             "source_voxel_size": found.source.voxel_size,
@@ -146,9 +143,24 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
             SOURCE_REGISTERED: lambda path: os.replace(scratch / SOURCE_REGISTERED, path),
             FUSED: lambda path: os.replace(scratch / FUSED, path),
         }
+        unchanged.check()
         with shown.step("write", "writing"):
-            write_together(job.folder, outputs, overwrite=job.overwrite, inputs=paths)
-    return Outcome(registration, document, remove_others(job.folder, outputs))
+            written = write_results(job, outputs)
+    return Outcome(registration, document, written)
+
+
+def open_in_parts(path: Path) -> LasPoints:
+    """Open a file that is too large to be read as a whole; `BudgetError` if it is neither LAS nor LAZ."""
+    from tmchho.io import is_las, open_las
+    from tmchho.room import check_room_for_parts
+
+    check_room_for_parts()
+    if not is_las(path):
+        raise BudgetError(
+            f"{path}: together with the other file needs more memory than is allowed, and only LAS and "
+            "LAZ can be read in parts; convert it to LAZ, or allow more with --max-memory"
+        )
+    return open_las(path)
 
 
 def _keep(selection: Selection | None, file: LasPoints) -> Keep | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -103,12 +103,14 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
     """
     from tmchho import fuse, read_areas
     from tmchho.evaluation import distance_entries
+    from tmchho.io.unchanged import Unchanged
     from tmchho.outputs import OUTPUTS, REPORT, InputFile, check_folder, fused_counts, result_document
     from tmchho.report.described import describe
     from tmchho.streams import default_max_memory, needs_streams
 
     paths = (job.source, job.target)
     check_folder(job.folder, names=(*OUTPUTS, REPORT), overwrite=job.overwrite, inputs=paths)
+    unchanged = Unchanged(paths)
     allowed = default_max_memory() if job.max_memory is None else job.max_memory
     if remarks is None and needs_streams(paths, allowed):
         from tmchho.cli.streamed import run_streamed
@@ -144,6 +146,7 @@ def run(job: Job, shown: Display, remarks: Remarks | None = None) -> Outcome:
             document |= distance_entries(registration, source, target, fused, areas, job.tolerance)
     if remarks is not None:
         document |= remarks(source, registration)
+    unchanged.check()
     with shown.step("write", "writing"):
         written = _write(job, registration, source, target, fused, document)
     return _reported(Outcome(registration, document, written), job, shown)
@@ -265,7 +268,6 @@ def _write(
         json_text,
         moved_source,
         pose_files,
-        write_together,
     )
     from tmchho.report.points import points_of
     from tmchho.transform import Transform
@@ -282,20 +284,17 @@ def _write(
             SOURCE_REGISTERED: lambda path: write(moved, path, like=target),
             FUSED: lambda path: write(merged, path, like=target),
         }
-    write_together(job.folder, files, overwrite=job.overwrite, inputs=(job.source, job.target))
-    return remove_others(job.folder, files)
+    return write_results(job, files)
 
 
-def remove_others(folder: Path, names: Iterable[str]) -> tuple[Path, ...]:
-    """Remove outputs that were not written: left from an earlier run, they would be taken for ours.
+def write_results(job: Job, files: Mapping[str, Callable[[Path], object]]) -> tuple[Path, ...]:
+    """Write the files of a registration, and remove those of an earlier one; return their paths."""
+    from tmchho.outputs import OUTPUTS, REPORT, REPORT_PDF, write_together
 
-    Returns the paths of those that were.
-    """
-    from tmchho.outputs import OUTPUTS, REPORT, REPORT_PDF
-
-    for name in {*OUTPUTS, REPORT, REPORT_PDF} - set(names):
-        (folder / name).unlink(missing_ok=True)
-    return tuple(folder / name for name in OUTPUTS if name in names)
+    paths = (job.source, job.target)
+    others = (*OUTPUTS, REPORT, REPORT_PDF)
+    write_together(job.folder, files, overwrite=job.overwrite, inputs=paths, others=others)
+    return tuple(job.folder / name for name in OUTPUTS if name in files)
 
 
 def _reported(outcome: Outcome, job: Job, shown: Display) -> Outcome:

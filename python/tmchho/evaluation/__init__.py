@@ -4,10 +4,11 @@
 """
 
 from tmchho.evaluation.area_files import read_areas
-from tmchho.evaluation.areas import Area, AreaStatistics, automatic_areas, measure_areas
+from tmchho.evaluation.areas import Area, automatic_areas, measure_areas
 from tmchho.evaluation.change import Change, m3c2
 from tmchho.evaluation.distances import Evaluation, evaluate
 from tmchho.evaluation.record import distance_entries
+from tmchho.evaluation.tally import AreaStatistics
 
 __all__ = [
     "Area",

@@ -7,7 +7,7 @@ define. Deviates: areas are polygons of the caller, or five strips along the ove
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -18,18 +18,14 @@ from numpy.typing import NDArray
 
 from tmchho.arguments import checked_count, checked_number
 from tmchho.errors import InvalidArgumentError
-from tmchho.results import DistanceStatistics
+from tmchho.evaluation.lengths import Lengths
+from tmchho.evaluation.tally import AreaStatistics, AreaTally, Outline
 
 N_AUTOMATIC_AREAS = 5
-# Fewer points than this say little about an area; its row says so.
-FEW_POINTS = 30
-# Cells in which completeness is counted; a large area gets larger cells.
-_MOST_CELLS = 1 << 20
 # Automatic areas differ by about one part in as many.
 _CELLS_PER_AREA, _MOST_HALVINGS = 20, 8
 
 Floats = NDArray[np.float64]
-Outline = tuple[tuple[tuple[tuple[float, float], ...], ...], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,54 +113,6 @@ class Area:
         )
 
 
-@dataclass(frozen=True)
-class AreaStatistics:
-    """How far the clouds lie apart in one area: a row of Table 7.
-
-    Lengths are None where nothing could be measured.
-
-    Parameters
-    ----------
-    name : str
-        Of the area.
-    n_points : int
-        Points of the source, or cores, that were measured there.
-    mean, best, worst, std, rms, median, percentile_95 : float or None
-        As in `DistanceStatistics`.
-    share_within : float or None
-        Share of them whose distance does not exceed the tolerance; None without a tolerance.
-    share_significant : float or None
-        Share of them with a significant change; None unless measured by M3C2.
-    n_beyond : int
-        Further points there that have no counterpart: farther away than the largest distance that counts, or
-        without a distance.
-    completeness_before, completeness_after : float or None
-        Share of the area's surface, seen from above in cells, on which the target alone has a point, and the
-        two clouds together. None for an area smaller than a cell.
-    remark : str
-        ``"no data"``, ``"fewer than 30 points"``, or nothing.
-    outline : nested tuples
-        See `Area.outline`.
-    """
-
-    name: str
-    n_points: int
-    mean: float | None
-    best: float | None
-    worst: float | None
-    std: float | None
-    rms: float | None
-    median: float | None
-    percentile_95: float | None
-    share_within: float | None
-    share_significant: float | None
-    n_beyond: int
-    completeness_before: float | None
-    completeness_after: float | None
-    remark: str
-    outline: Outline
-
-
 def automatic_areas(overlap: Floats, cell: float, n_areas: int = N_AUTOMATIC_AREAS) -> tuple[Area, ...]:
     """Cut the overlap into strips across its main axis, each with the same surface seen from above.
 
@@ -183,18 +131,33 @@ def automatic_areas(overlap: Floats, cell: float, n_areas: int = N_AUTOMATIC_ARE
         Rectangles called "area 1", … from west to east (from south to north on an axis nearer to that); none
         where the overlap has fewer places than there are to be areas.
     """
+    return areas_of_parts(lambda: [overlap], cell, n_areas)
+
+
+def areas_of_parts(
+    parts: Callable[[], Iterable[Floats]], cell: float, n_areas: int = N_AUTOMATIC_AREAS
+) -> tuple[Area, ...]:
+    """Do what `automatic_areas` does with an overlap that `parts` gives part by part, as often as asked."""
     cell = checked_number("cell", cell)
     n_areas = checked_count("n_areas", n_areas, 1)
-    if len(overlap) == 0:
+    lowest = [part[:, :2].min(axis=0) for part in parts() if len(part)]
+    if not lowest:
         return ()
-    origin = overlap[:, :2].min(axis=0)
-    local = overlap[:, :2] - origin
-    cells = np.unique(np.floor(local / cell), axis=0)
+    origin = np.min(lowest, axis=0)
+
+    def occupied(cell: float) -> Floats:
+        cells = np.empty((0, 2))
+        for part in parts():
+            here = np.unique(np.floor((part[:, :2] - origin) / cell), axis=0)
+            cells = np.unique(np.concatenate([cells, here]), axis=0) if len(cells) else here
+        return cells
+
+    cells = occupied(cell)
     for _ in range(_MOST_HALVINGS):  # a small overlap is cut finely enough for even areas
         if len(cells) >= _CELLS_PER_AREA * n_areas:
             break
         cell /= 2
-        cells = np.unique(np.floor(local / cell), axis=0)
+        cells = occupied(cell)
     if len(cells) < n_areas:
         return ()
     centres = (cells + 0.5) * cell
@@ -261,68 +224,15 @@ def measure_areas(
     tuple of AreaStatistics
         One for each area, in their order, also where there is no data.
     """
-    counts = np.isfinite(distances)
-    other = points if other is None else other
-    if max_distance is not None:
-        counts &= np.abs(distances) <= max_distance
     rows = []
     for area in areas:
-        inside = area.contains(points)
-        measured = distances[inside & counts]
-        summed_up = DistanceStatistics.of(measured)
-        before, after = _completeness(area, target, other[area.contains(other)], cell)
-        few = "no data" if summed_up is None else f"fewer than {FEW_POINTS} points"
-        shared: dict[str, Any] = {
-            name: None if summed_up is None else getattr(summed_up, name)
-            for name in ("mean", "best", "worst", "std", "rms", "median", "percentile_95")
-        }
-        within = np.abs(measured) <= (np.inf if tolerance is None else tolerance)
-        rows.append(
-            AreaStatistics(
-                name=area.name,
-                n_points=len(measured),
-                **shared,
-                share_within=None if tolerance is None or summed_up is None else float(within.mean()),
-                share_significant=(
-                    None
-                    if significant is None or summed_up is None
-                    else float(significant[inside & counts].mean())
-                ),
-                n_beyond=int(np.count_nonzero(inside)) - len(measured),
-                completeness_before=before,
-                completeness_after=after,
-                remark=few if len(measured) < FEW_POINTS else "",
-                outline=area.outline,
-            )
-        )
+        tally = AreaTally(area, cell, Lengths(), tolerance=tolerance, max_distance=max_distance)
+        tally.add(points, distances, significant, covers=other is None)
+        tally.cover_by_target(target)
+        if other is not None:
+            tally.cover(other)
+        rows.append(tally.row())
     return tuple(rows)
-
-
-def _completeness(
-    area: Area, target: Floats, source_inside: Floats, cell: float
-) -> tuple[float | None, float | None]:
-    """Return the share of the area's cells with a point of the target, and with one of either cloud."""
-    x_min, y_min, x_max, y_max = area.geometry.bounds
-    while np.ceil((x_max - x_min) / cell) * np.ceil((y_max - y_min) / cell) > _MOST_CELLS:
-        cell *= 2
-    n_x, n_y = int(np.ceil((x_max - x_min) / cell)), int(np.ceil((y_max - y_min) / cell))
-    column, row = (index.ravel() for index in np.meshgrid(np.arange(n_x), np.arange(n_y)))
-    belongs = shapely.intersects_xy(area.geometry, x_min + (column + 0.5) * cell, y_min + (row + 0.5) * cell)
-    if not belongs.any():
-        return None, None
-
-    def occupied(points: Floats) -> NDArray[np.bool_]:
-        at_x = np.minimum(((points[:, 0] - x_min) / cell).astype(np.intp), n_x - 1)
-        at_y = np.minimum(((points[:, 1] - y_min) / cell).astype(np.intp), n_y - 1)
-        found = np.zeros(n_x * n_y, dtype=bool)
-        found[at_y * n_x + at_x] = True
-        return np.asarray(found & belongs)
-
-    # A cell on the rim belongs by its centre; a point in it may lie outside the outline.
-    before = occupied(target[area.box_contains(target)])
-    after = before | occupied(source_inside)
-    n_cells = np.count_nonzero(belongs)
-    return float(np.count_nonzero(before) / n_cells), float(np.count_nonzero(after) / n_cells)
 
 
 def _polygons(name: str, geometry: Any) -> Any:

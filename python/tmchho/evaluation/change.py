@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +13,12 @@ from tmchho import _core
 from tmchho.arguments import checked_array, checked_count, checked_number
 from tmchho.cloud import PointCloud
 from tmchho.config import options_json
-from tmchho.evaluation.areas import AreaStatistics, automatic_areas, measure_areas
+from tmchho.evaluation.areas import automatic_areas, measure_areas
 from tmchho.evaluation.distances import AreasLike, given_areas_of
+from tmchho.evaluation.tally import AreaStatistics
 from tmchho.inputs import CloudLike, naming, open_cloud, open_points
 from tmchho.results import DistanceStatistics, ReadOnlyArrays, Registration, plain, pose_matrix
+from tmchho.room import check_room
 
 # Where more cores than this see too few points, a level of detection is missing for too much of the site.
 _FEW_POINTS_SHARE = 0.2
@@ -95,30 +97,15 @@ class Change(ReadOnlyArrays):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the numbers of single cores as what JSON knows."""
-        known = np.isfinite(self.level_of_detection)
-        values: dict[str, Any] = plain(
-            {
-                "method": "m3c2",
-                "tolerance": self.tolerance,
-                "target_to_source": {
-                    **({"n_points": 0} if self.statistics is None else vars(self.statistics)),
-                    "n_beyond": int(np.count_nonzero(np.isnan(self.distance))),
-                    "n_significant": int(np.count_nonzero(self.is_significant)),
-                    "share_significant": self.share_significant,
-                    "median_level_of_detection": (
-                        float(np.median(self.level_of_detection[known])) if known.any() else None
-                    ),
-                },
-                "registration_error": self.registration_error,
-                "normal_radii": self.normal_radii,
-                "cylinder_radius": self.cylinder_radius,
-                "max_depth": self.max_depth,
-                "min_points": self.min_points,
-                "areas": self.areas,
-                "warnings": self.warnings,
-            }
+        levels = self.level_of_detection[np.isfinite(self.level_of_detection)]
+        return change_entries(
+            vars(self),
+            self.statistics,
+            n_without=int(np.count_nonzero(np.isnan(self.distance))),
+            n_significant=int(np.count_nonzero(self.is_significant)),
+            share_significant=self.share_significant,
+            median_level=float(np.median(levels)) if len(levels) else None,
         )
-        return values
 
     def to_point_cloud(self, crs: str | None = None) -> PointCloud:
         """Return the cores as a cloud, with attributes called as CloudCompare calls them.
@@ -133,21 +120,54 @@ class Change(ReadOnlyArrays):
         PointCloud
             Cores with a coordinate that is not finite are left out.
         """
-        rows = np.isfinite(self.cores).all(axis=1)
-        attributes: dict[str, NDArray[Any]] = {
-            "M3C2_distance": self.distance,
-            "distance_uncertainty": self.level_of_detection,
-            "significant_change": self.is_significant.astype(np.uint8),
-            "significant_from": self.significant_from,
-            "Npoints_cloud1": self.n_target,
-            "Npoints_cloud2": self.n_source,
-            "STD_cloud1": self.target_spread,
-            "STD_cloud2": self.source_spread,
-            "normal_scale": 2 * self.normal_radius,
-            **{f"n{axis}": self.normals[:, at] for at, axis in enumerate("xyz")},
+        return change_cloud(vars(self), crs)
+
+
+def change_entries(
+    told: Mapping[str, Any],
+    statistics: DistanceStatistics | None,
+    *,
+    n_without: int,
+    n_significant: int,
+    share_significant: float | None,
+    median_level: float | None,
+) -> dict[str, Any]:
+    """Return what `Change.to_dict` does; `told` has the settings, the lengths, the areas and the warnings."""
+    lengths = ("registration_error", "normal_radii", "cylinder_radius", "max_depth")
+    entries: dict[str, Any] = plain(
+        {
+            "method": "m3c2",
+            "tolerance": told["tolerance"],
+            "target_to_source": {
+                **({"n_points": 0} if statistics is None else vars(statistics)),
+                "n_beyond": n_without,
+                "n_significant": n_significant,
+                "share_significant": share_significant,
+                "median_level_of_detection": median_level,
+            },
+            **{name: told[name] for name in (*lengths, "min_points", "areas", "warnings")},
         }
-        kept = {name: values[rows] for name, values in attributes.items()}
-        return PointCloud(self.cores[rows], kept, crs=crs, name="M3C2 cores")
+    )
+    return entries
+
+
+def change_cloud(found: Mapping[str, Any], crs: str | None) -> PointCloud:
+    """Return what `Change.to_point_cloud` does, of its arrays or of a part of them."""
+    rows = np.isfinite(found["cores"]).all(axis=1)
+    attributes: dict[str, NDArray[Any]] = {
+        "M3C2_distance": found["distance"],
+        "distance_uncertainty": found["level_of_detection"],
+        "significant_change": found["is_significant"].astype(np.uint8),
+        "significant_from": found["significant_from"],
+        "Npoints_cloud1": found["n_target"],
+        "Npoints_cloud2": found["n_source"],
+        "STD_cloud1": found["target_spread"],
+        "STD_cloud2": found["source_spread"],
+        "normal_scale": 2 * found["normal_radius"],
+        **{f"n{axis}": found["normals"][:, at] for at, axis in enumerate("xyz")},
+    }
+    kept = {name: values[rows] for name, values in attributes.items()}
+    return PointCloud(found["cores"][rows], kept, crs=crs, name="M3C2 cores")
 
 
 def m3c2(
@@ -226,28 +246,18 @@ def m3c2(
     (-0.05, True)
     """
     matrix = pose_matrix(transformation)
-    warnings = []
     if registration_error is None and isinstance(transformation, Registration):
         registration_error = transformation.registration_error
-    if registration_error is None:
-        warnings.append(
-            "the error of the registration is not known and counts as 0: what it shifted may pass for change"
-        )
-    options = options_json(
-        normal_radii_m=_radii(normal_radii),
-        cylinder_radius_m=None
-        if cylinder_radius is None
-        else checked_number("cylinder_radius", cylinder_radius),
-        max_depth_m=None if max_depth is None else checked_number("max_depth", max_depth),
-        registration_error_m=checked_number("registration_error", registration_error or 0.0),
-        orientation=checked_array("orientation", orientation, (3,)),
-        min_points=None if min_points is None else checked_count("min_points", min_points),
+    warnings = [] if registration_error is not None else [UNKNOWN_ERROR]
+    options = m3c2_options(
+        normal_radii, cylinder_radius, max_depth, registration_error, orientation, min_points
     )
     if tolerance is not None:
         checked_number("tolerance", tolerance, 0.0)
     source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
     places = None if cores is None else open_points(cores, "cores")
     given_areas = given_areas_of(areas, target_cloud.crs)
+    check_room(len(source_cloud) + len(target_cloud))
     with naming(source_cloud, target_cloud):
         found = _core.m3c2(source_cloud.xyz, target_cloud.xyz, matrix, places, options)
     distance, level = found["distance"], found["level_of_detection"]
@@ -255,11 +265,7 @@ def m3c2(
     seen = np.isfinite(distance)
     n_seen = int(np.count_nonzero(seen))
     few = seen & (np.minimum(found["n_target"], found["n_source"]) < found["min_points"])
-    if np.count_nonzero(few) > _FEW_POINTS_SHARE * n_seen:
-        warnings.append(
-            f"{np.count_nonzero(few):,} of {n_seen:,} cores have fewer than {found['min_points']} points of "
-            "one of the clouds in the cylinder, and tell of no change; take a larger cylinder radius"
-        )
+    warnings += few_points_warnings(int(np.count_nonzero(few)), n_seen, found["min_points"])
     rows: tuple[AreaStatistics, ...] = ()
     if areas is not None:
         cell = 2 * found["cylinder_radius"]
@@ -283,6 +289,41 @@ def m3c2(
         tolerance=tolerance,
         areas=rows,
         warnings=tuple(warnings),
+    )
+
+
+UNKNOWN_ERROR = (
+    "the error of the registration is not known and counts as 0: what it shifted may pass for change"
+)
+
+
+def few_points_warnings(n_few: int, n_seen: int, min_points: int) -> list[str]:
+    """Return a sentence where too many cores see too few points."""
+    if n_few <= _FEW_POINTS_SHARE * n_seen:
+        return []
+    return [
+        f"{n_few:,} of {n_seen:,} cores have fewer than {min_points} points of "
+        "one of the clouds in the cylinder, and tell of no change; take a larger cylinder radius"
+    ]
+
+
+def m3c2_options(
+    normal_radii: Sequence[float] | None,
+    cylinder_radius: float | None,
+    max_depth: float | None,
+    registration_error: float | None,
+    orientation: ArrayLike = (0.0, 0.0, 1.0),
+    min_points: int | None = None,
+) -> str:
+    """Return the arguments of `m3c2` as options of the core, checked."""
+    radius = None if cylinder_radius is None else checked_number("cylinder_radius", cylinder_radius)
+    return options_json(
+        normal_radii_m=_radii(normal_radii),
+        cylinder_radius_m=radius,
+        max_depth_m=None if max_depth is None else checked_number("max_depth", max_depth),
+        registration_error_m=checked_number("registration_error", registration_error or 0.0),
+        orientation=checked_array("orientation", orientation, (3,)),
+        min_points=None if min_points is None else checked_count("min_points", min_points),
     )
 
 

@@ -72,10 +72,13 @@ class ColourScale(ReadOnlyArrays):
         0.05
         """
         amounts = np.abs(distances[np.isfinite(distances)])
-        if tolerance:
-            limit = 2 * tolerance
-        else:
-            limit = _round_up(float(np.percentile(amounts, 95)) if len(amounts) else 0.0)
+        usual = float(np.percentile(amounts, 95)) if len(amounts) else 0.0
+        return cls.reaching(usual, is_signed=is_signed, tolerance=tolerance)
+
+    @classmethod
+    def reaching(cls, usual: float, *, is_signed: bool, tolerance: float | None) -> ColourScale:
+        """Return the scale for distances of which 95 % keep to `usual`."""
+        limit = 2 * tolerance if tolerance else _round_up(usual)
         low = -limit if is_signed else 0.0
         colours = np.array(_DIVERGING if is_signed else _SEQUENTIAL, dtype=np.uint8)
         return cls(np.linspace(low, limit, N_CLASSES + 1), colours, is_signed)
@@ -119,25 +122,36 @@ class ColourScale(ReadOnlyArrays):
         distances, significant
             As for `apply`.
         """
+        return self.legend_of(self.counts(distances, significant), has_significance=significant is not None)
+
+    def counts(
+        self, distances: NDArray[np.float64], significant: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.int64]:
+        """Return how many points are in each class, farther, not significant, and without a distance."""
         found, n_classes = self.classes(distances), len(self.colours)
         missing = np.isnan(distances)
         quiet = np.zeros(len(distances), dtype=bool) if significant is None else ~significant & ~missing
         if self.is_signed:
             found = np.clip(found, 0, n_classes - 1)
         counts = np.bincount(found[~missing & ~quiet], minlength=n_classes + 1)
+        return np.concatenate([counts, [np.count_nonzero(quiet), np.count_nonzero(missing)]])
+
+    def legend_of(self, counts: NDArray[np.int64], *, has_significance: bool) -> list[dict[str, Any]]:
+        """Return what `legend` does, from the sum of all `counts`."""
+        *in_classes, n_farther, n_quiet, n_missing = counts
         rows = [
-            _row("distance", self.borders[i], self.borders[i + 1], self.colours[i], counts[i])
-            for i in range(n_classes)
+            _row("distance", self.borders[i], self.borders[i + 1], self.colours[i], count)
+            for i, count in enumerate(in_classes)
         ]
         if self.is_signed:
             rows[0]["from"], rows[-1]["to"] = None, None
         else:
-            rows.append(_row("farther", self.borders[-1], None, _FARTHER, counts[n_classes]))
-        if significant is not None:
-            rows.append(_row("not significant", None, None, _NOT_SIGNIFICANT, np.count_nonzero(quiet)))
-        rows.append(_row("no data", None, None, _NO_DATA, np.count_nonzero(missing)))
+            rows.append(_row("farther", self.borders[-1], None, _FARTHER, n_farther))
+        if has_significance:
+            rows.append(_row("not significant", None, None, _NOT_SIGNIFICANT, n_quiet))
+        rows.append(_row("no data", None, None, _NO_DATA, n_missing))
         for row in rows:
-            row["share"] = row["n_points"] / max(len(distances), 1)
+            row["share"] = row["n_points"] / max(int(counts.sum()), 1)
         return rows
 
 

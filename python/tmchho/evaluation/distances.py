@@ -15,9 +15,11 @@ from tmchho.arguments import checked_choice, checked_count, checked_number
 from tmchho.config import options_json
 from tmchho.errors import InvalidArgumentError
 from tmchho.evaluation.area_files import read_areas
-from tmchho.evaluation.areas import Area, AreaStatistics, automatic_areas, measure_areas
+from tmchho.evaluation.areas import Area, automatic_areas, measure_areas
+from tmchho.evaluation.tally import AreaStatistics
 from tmchho.inputs import CloudLike, naming, open_cloud
 from tmchho.results import DistanceStatistics, ReadOnlyArrays, Registration, plain, pose_matrix
+from tmchho.room import check_room
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +33,7 @@ SIGNED = ("normal", "vertical")
 
 # As for fusion: a place farther than so many spacings, of those that nine points in ten of the sparser
 # cloud keep to, is a hole.
-_HOLE_IN_SPACINGS = 3.0
+HOLE_IN_SPACINGS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,30 +94,53 @@ class Evaluation(ReadOnlyArrays):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the distances of single points as what JSON knows."""
-        shares = self.share_within or (None, None)
-        both = (self.source_to_target_statistics, self.target_to_source_statistics)
-        directions = {
-            name: {
-                **({"n_points": 0} if statistics is None else vars(statistics)),
-                "share_within": share,
-                "n_beyond": n_beyond,
-            }
-            for name, statistics, share, n_beyond in zip(
-                ("source_to_target", "target_to_source"), both, shares, self.n_beyond, strict=True
-            )
-        }
-        values: dict[str, Any] = plain(
-            {
-                "method": self.method,
-                "tolerance": self.tolerance,
-                "max_distance": self.max_distance,
-                **directions,
-                "spacing": {"source": self.spacing[0], "target": self.spacing[1]},
-                "areas": self.areas,
-                "warnings": self.warnings,
-            }
+        return evaluation_entries(
+            self.method,
+            self.tolerance,
+            self.max_distance,
+            (self.source_to_target_statistics, self.target_to_source_statistics),
+            self.share_within or (None, None),
+            self.n_beyond,
+            self.spacing,
+            self.areas,
+            self.warnings,
         )
-        return values
+
+
+def evaluation_entries(
+    method: DistanceMethod,
+    tolerance: float | None,
+    max_distance: float | None,
+    statistics: tuple[DistanceStatistics | None, DistanceStatistics | None],
+    shares: tuple[float | None, float | None],
+    n_beyond: tuple[int, int],
+    spacing: tuple[float, float],
+    areas: tuple[AreaStatistics, ...],
+    warnings: tuple[str, ...],
+) -> dict[str, Any]:
+    """Return what `Evaluation.to_dict` does; of pairs, the first is from source to target."""
+    directions = {
+        name: {
+            **({"n_points": 0} if summed_up is None else vars(summed_up)),
+            "share_within": share,
+            "n_beyond": beyond,
+        }
+        for name, summed_up, share, beyond in zip(
+            ("source_to_target", "target_to_source"), statistics, shares, n_beyond, strict=True
+        )
+    }
+    entries: dict[str, Any] = plain(
+        {
+            "method": method,
+            "tolerance": tolerance,
+            "max_distance": max_distance,
+            **directions,
+            "spacing": {"source": spacing[0], "target": spacing[1]},
+            "areas": areas,
+            "warnings": warnings,
+        }
+    )
+    return entries
 
 
 def evaluate(
@@ -176,15 +201,10 @@ def evaluate(
     array([5.        , 7.21110255])
     """
     matrix = pose_matrix(transformation)
-    for name, value in (("tolerance", tolerance), ("max_distance", max_distance)):
-        if value is not None and checked_number(name, value) < 0:
-            raise InvalidArgumentError(f"{name} must be at least 0, got {value}")
-    options = options_json(
-        method=None if method is None else checked_choice("method", method, _METHODS),
-        n_neighbors=None if n_neighbors is None else checked_count("n_neighbors", n_neighbors),
-    )
+    options = compare_options(method, n_neighbors, tolerance, max_distance)
     source_cloud, target_cloud = open_cloud(source, "source"), open_cloud(target, "target")
     given_areas = given_areas_of(areas, target_cloud.crs)
+    check_room(len(source_cloud) + len(target_cloud))
     with naming(source_cloud, target_cloud):
         found = _core.evaluate(source_cloud.xyz, target_cloud.xyz, matrix, options)
     forth, back = found["source_to_target"], found["target_to_source"]
@@ -201,7 +221,7 @@ def evaluate(
         shares.append(None if within is None else float(within.mean()))
     rows: tuple[AreaStatistics, ...] = ()
     if areas is not None:
-        hole_radius = _HOLE_IN_SPACINGS * found["wide_spacing"] or 1.0  # one point has no spacing
+        hole_radius = HOLE_IN_SPACINGS * found["wide_spacing"] or 1.0  # one point has no spacing
         if given_areas is None:
             reach = hole_radius if max_distance is None else max_distance
             overlap = target_cloud.xyz[np.abs(back) <= reach]
@@ -229,6 +249,22 @@ def evaluate(
         spacing=spacing,
         areas=rows,
         warnings=density_warnings((statistics[0], statistics[1]), spacing) if chosen == "nearest" else (),
+    )
+
+
+def compare_options(
+    method: DistanceMethod | None,
+    n_neighbors: int | None,
+    tolerance: float | None,
+    max_distance: float | None,
+) -> str:
+    """Return the arguments of `evaluate` as options of the core, checked."""
+    for name, value in (("tolerance", tolerance), ("max_distance", max_distance)):
+        if value is not None and checked_number(name, value) < 0:
+            raise InvalidArgumentError(f"{name} must be at least 0, got {value}")
+    return options_json(
+        method=None if method is None else checked_choice("method", method, _METHODS),
+        n_neighbors=None if n_neighbors is None else checked_count("n_neighbors", n_neighbors),
     )
 
 

@@ -118,10 +118,7 @@ def write_evaluation(
     is_signed = isinstance(result, Change) or result.method in SIGNED
     scale = ColourScale.of(every, is_signed=is_signed, tolerance=result.tolerance)
 
-    files: dict[str, Callable[[Path], object]] = {
-        EVALUATION: lambda path: path.write_text(json_text(document), encoding="utf-8", newline="\n"),
-        AREAS: lambda path: _write_table(path, [_area_row(row) for row in document["areas"]], _AREA_COLUMNS),
-    }
+    files = tables(document)
     chosen = tuple(forms)
     for direction, cloud in clouds.items():
         shown = replace(
@@ -136,10 +133,22 @@ def write_evaluation(
                 written = replace(cloud, attributes={name: cloud.attributes[name]})
             files[f"{stem}.{extension}"] = _writer(written, target)
     if any(form.startswith("coloured") for form in chosen):
-        legend = scale.legend(every, significant)
-        files[LEGEND] = lambda path: _write_table(path, legend, tuple(legend[0]))
+        files |= tables(document, scale.legend(every, significant))
     write_together(folder, files, overwrite=overwrite, inputs=inputs)
     return tuple(folder / file for file in files)
+
+
+def tables(
+    document: Mapping[str, Any], legend: Sequence[Mapping[str, Any]] | None = None
+) -> dict[str, Callable[[Path], object]]:
+    """Return what writes ``evaluation.json``, ``areas.csv`` and, if there is one, ``legend.csv``."""
+    files: dict[str, Callable[[Path], object]] = {
+        EVALUATION: lambda path: path.write_text(json_text(document), encoding="utf-8", newline="\n"),
+        AREAS: lambda path: _write_table(path, [_area_row(row) for row in document["areas"]], _AREA_COLUMNS),
+    }
+    if legend is not None:
+        files[LEGEND] = lambda path: _write_table(path, legend, tuple(legend[0]))
+    return files
 
 
 _AREA_COLUMNS = (

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tmchho.cloud import PointCloud
 from tmchho.evaluation.areas import Area, automatic_areas, measure_areas
 from tmchho.evaluation.distances import density_warnings, evaluate
+from tmchho.evaluation.tally import AreaStatistics
 from tmchho.fused import FusedCloud
 from tmchho.results import DistanceStatistics, Registration, plain
 from tmchho.stages import median_spacing
+
+Summary: TypeAlias = tuple[DistanceStatistics | None, float | None, int]
 
 
 def distance_entries(
@@ -70,22 +72,59 @@ def distance_entries(
         median_spacing(cloud.xyz[np.isfinite(cloud.xyz).all(axis=1)]) for cloud in (source, target)
     ]
     spacing = (registration.scale * of_source_and_target[0], of_source_and_target[1])
-    directions = {}
-    for name, distances in (("source_to_target", forth), ("target_to_source", back)):
+    directions = []
+    for distances in (forth, back):
         measured = distances[distances <= fused.hole_radius]
-        directions[name] = _summed_up(measured, tolerance)
-        directions[name]["n_beyond"] = int(np.count_nonzero(np.isfinite(distances))) - len(measured)
-    every = (registration.source_to_target, registration.target_to_source)
+        share = None if tolerance is None or not len(measured) else float((measured <= tolerance).mean())
+        n_beyond = int(np.count_nonzero(np.isfinite(distances))) - len(measured)
+        directions.append((DistanceStatistics.of(measured), share, n_beyond))
+    return entries_of(
+        rows,
+        (directions[0], directions[1]),
+        spacing,
+        (registration.source_to_target, registration.target_to_source),
+        tolerance=tolerance,
+        max_distance=fused.hole_radius,
+        is_automatic=is_automatic,
+    )
+
+
+def entries_of(
+    rows: Sequence[AreaStatistics],
+    directions: tuple[Summary, Summary],
+    spacing: tuple[float, float],
+    every: tuple[DistanceStatistics | None, DistanceStatistics | None],
+    *,
+    tolerance: float | None,
+    max_distance: float,
+    is_automatic: bool,
+) -> dict[str, Any]:
+    """Return what `distance_entries` does from what was summed up; of pairs, the first is of the source.
+
+    Parameters
+    ----------
+    rows : sequence of AreaStatistics
+        By area.
+    directions : tuple
+        Statistics of the points with a counterpart, the share within the tolerance, and how many have none.
+    spacing : tuple of float
+        Median spacings, in the target's unit.
+    every : tuple of DistanceStatistics
+        Of all points.
+    tolerance, max_distance, is_automatic
+        As they were used, and whether the areas are ours.
+    """
+    names = ("source_to_target", "target_to_source")
     entries: dict[str, Any] = plain(
         {
-            "areas": rows,
+            "areas": tuple(rows),
             "distances": {
                 "method": "nearest",
                 "tolerance": tolerance,
-                "max_distance": fused.hole_radius,
+                "max_distance": max_distance,
                 "areas": "automatic" if is_automatic else "given",
                 "spacing": {"source": spacing[0], "target": spacing[1]},
-                **directions,
+                **dict(zip(names, map(_direction, directions), strict=True)),
                 "warnings": density_warnings(every, spacing),
             },
         }
@@ -93,9 +132,7 @@ def distance_entries(
     return entries
 
 
-def _summed_up(measured: NDArray[np.float64], tolerance: float | None) -> dict[str, Any]:
-    statistics = DistanceStatistics.of(measured)
-    if statistics is None:
-        return {"n_points": 0, "share_within": None}
-    share = None if tolerance is None else float((measured <= tolerance).mean())
-    return {**vars(statistics), "share_within": share}
+def _direction(found: Summary) -> dict[str, Any]:
+    statistics, share, n_beyond = found
+    summed_up = {"n_points": 0} if statistics is None else vars(statistics)
+    return {**summed_up, "share_within": share, "n_beyond": n_beyond}

@@ -7,7 +7,11 @@ interrupts. Everything is written under a temporary name in the same folder and 
 from __future__ import annotations
 
 import os
+import platform
+import re
 import secrets
+import shutil
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -15,6 +19,9 @@ from pathlib import Path
 from tmchho.errors import TmchhoError, WriteError
 
 StrPath = str | os.PathLike[str]
+
+# Hidden, then the machine and the process that made it.
+_MARK = re.compile(r"^\..*tmchho-([0-9a-f]{8})-(\d+)-")
 
 
 @contextmanager
@@ -54,7 +61,7 @@ def atomic_path(path: StrPath, overwrite: bool = False, inputs: Iterable[StrPath
     check_output(path, overwrite, inputs)
     target = Path(path).resolve()
     # The stem is cut because file systems allow 255 bytes for a name.
-    unique = f"tmp-{os.getpid()}-{secrets.token_hex(4)}"
+    unique = f"{own_mark()}-{secrets.token_hex(4)}"
     temporary = target.with_name(f".{target.stem[:40]}.{unique}{target.suffix}")
     try:
         yield temporary
@@ -70,6 +77,40 @@ def atomic_path(path: StrPath, overwrite: bool = False, inputs: Iterable[StrPath
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def own_mark() -> str:
+    """Return what the names of temporary files of this process have in common."""
+    return f"tmchho-{_machine()}-{os.getpid()}"
+
+
+def sweep(folder: Path) -> None:
+    """Remove temporary files and folders of processes of this machine that are gone: they were killed."""
+    with suppress(OSError):
+        for path in folder.iterdir():
+            found = _MARK.search(path.name)
+            if found is None or found[1] != _machine() or _is_running(int(found[2])):
+                continue
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+
+
+def _machine() -> str:
+    return f"{zlib.crc32(platform.node().encode()):08x}"
+
+
+def _is_running(process: int) -> bool:
+    if os.name != "posix":
+        return True  # there is no harmless way to ask
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        pass  # somebody else's
+    return True
 
 
 def check_output(path: StrPath, overwrite: bool = False, inputs: Iterable[StrPath] = ()) -> None:

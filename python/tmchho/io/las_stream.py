@@ -29,7 +29,7 @@ from tmchho.io.laz import decompress_parts
 Records = NDArray[np.void]
 _Item = TypeVar("_Item")
 
-POINTS_AT_ONCE = 1_000_000
+POINTS_AT_ONCE = 500_000
 
 
 @dataclass(frozen=True)

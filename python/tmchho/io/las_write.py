@@ -6,7 +6,7 @@ Source: ASPRS, "LAS Specification 1.4 - R15" (2019).
 from __future__ import annotations
 
 import logging
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import date, timedelta
 from pathlib import Path
@@ -63,28 +63,49 @@ def write_las(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
             f"LAS cannot hold {n_wrong} points whose coordinates are not finite; drop them first"
         )
     old: LasHeader | None = kept.get("header") if kept.get("format") == "las" else None
-    attributes = _colours_as_16_bit(attributes_to_write(cloud, blanks=True))
+    if old is None:
+        grid = new_grid(cloud.xyz)
+    else:
+        grid = kept_grid(cloud.xyz, old.scales, old.offsets, is_own=cloud.metadata.get("header") == old)
+    with writing_las_parts(path, cloud, kept, grid) as put:
+        put(cloud)
+
+
+@contextmanager
+def writing_las_parts(
+    path: Path, first: PointCloud, kept: Mapping[str, Any], grid: Grid
+) -> Iterator[Callable[[PointCloud], None]]:
+    """Open a file for clouds with the attributes of `first`; lends what writes one of them after another."""
+    old: LasHeader | None = kept.get("header") if kept.get("format") == "las" else None
+    attributes = _colours_as_16_bit(attributes_to_write(first, blanks=True))
     number, version = _choose_format(attributes, old)
     is_compressed = path.suffix.lower() == ".laz"
     if "wave" in _FEATURES[number]:
         if is_compressed:
             raise WriteError(f"LAZ cannot hold the waveforms of point format {number}; choose .las")
         logger.warning("the points keep their places in the waveform data, which itself is not copied")
-    standard, extra = _sorted_out(attributes, laspy.PointFormat(number), kept.get("extra_dimensions", ()))
-    if old is None:
-        grid = new_grid(cloud.xyz)
-        standard.setdefault("return_number", np.ones(len(cloud), dtype=np.uint8))
-        standard.setdefault("number_of_returns", np.ones(len(cloud), dtype=np.uint8))
-    else:
-        grid = kept_grid(cloud.xyz, old.scales, old.offsets, is_own=cloud.metadata.get("header") == old)
 
-    dimensions = [dimension.parameters for dimension, _ in extra]
+    def sorted_out(attributes: dict[str, NDArray[Any]], n_points: int) -> tuple[Any, Any]:
+        found = _sorted_out(attributes, laspy.PointFormat(number), kept.get("extra_dimensions", ()))
+        if old is None:
+            ones = np.ones(n_points, dtype=np.uint8)
+            found[0].setdefault("return_number", ones)
+            found[0].setdefault("number_of_returns", ones)
+        return found
+
+    dimensions = [dimension.parameters for dimension, _ in sorted_out(attributes, len(first))[1]]
     with open_las_writer(
-        path, old, (number, version), grid, dimensions, crs=cloud.crs, kept_crs=kept.get("crs")
+        path, old, (number, version), grid, dimensions, crs=first.crs, kept_crs=kept.get("crs")
     ) as (writer, point_format):
-        points = _points(cloud, grid, standard, extra, point_format)
-        for start in range(0, len(points), _POINTS_AT_ONCE):
-            writer.write_points(points[start : start + _POINTS_AT_ONCE])
+
+        def put(part: PointCloud) -> None:
+            attributes = _colours_as_16_bit(attributes_to_write(part, blanks=True))
+            standard, extra = sorted_out(attributes, len(part))
+            points = _points(part, grid, standard, extra, point_format)
+            for start in range(0, len(points), _POINTS_AT_ONCE):
+                writer.write_points(points[start : start + _POINTS_AT_ONCE])
+
+        yield put
 
 
 @contextmanager

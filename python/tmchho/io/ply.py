@@ -12,7 +12,8 @@ from __future__ import annotations
 import logging
 import mmap
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -210,10 +211,16 @@ def _row_type(element: _Element, byte_order: str) -> np.dtype[np.void]:
 
 
 def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
-    columns: dict[str, NDArray[Any]] = {axis: cloud.xyz[:, index] for index, axis in enumerate(AXES)}
-    attributes = split_columns(colours_as_8_bit(attributes_to_write(cloud)))
-    columns.update({name: _without_long_integers(name, values) for name, values in attributes.items()})
-    kinds = [values.dtype.str[1:] for values in columns.values()]
+    with writing_ply_parts(path, cloud, len(cloud), kept) as put:
+        put(cloud)
+
+
+@contextmanager
+def writing_ply_parts(
+    path: Path, first: PointCloud, n_points: int, kept: Mapping[str, Any]
+) -> Iterator[Callable[[PointCloud], None]]:
+    """Open a file for clouds with the attributes of `first`; lends what writes one of them after another."""
+    kinds = {name: values.dtype.str[1:] for name, values in _columns(first).items()}
     layout = kept if kept.get("format") == "ply" else {}
     comments, byte_order = layout.get("comments", ()), layout.get("byte_order", "<")
     encoding = next(name for name, order in _BYTE_ORDERS.items() if order == byte_order)
@@ -221,16 +228,28 @@ def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
         "ply",
         f"format {encoding} 1.0",
         *comments,
-        f"element vertex {len(cloud)}",
-        *(f"property {_TYPE_NAMES[kind]} {name}" for name, kind in zip(columns, kinds, strict=True)),
+        f"element vertex {n_points}",
+        *(f"property {_TYPE_NAMES[kind]} {name}" for name, kind in kinds.items()),
         "end_header\n",
     ]
     with path.open("wb") as stream:
         stream.write("\n".join(lines).encode())
-        if byte_order is None:
-            write_table(stream, list(columns.values()), b" ")
-        else:
-            record_array(columns, map(np.dtype, kinds), len(cloud), byte_order).tofile(stream)
+
+        def put(part: PointCloud) -> None:
+            columns = _columns(part)
+            if byte_order is None:
+                write_table(stream, list(columns.values()), b" ")
+            else:
+                record_array(columns, map(np.dtype, kinds.values()), len(part), byte_order).tofile(stream)
+
+        yield put
+
+
+def _columns(cloud: PointCloud) -> dict[str, NDArray[Any]]:
+    columns: dict[str, NDArray[Any]] = {axis: cloud.xyz[:, index] for index, axis in enumerate(AXES)}
+    attributes = split_columns(colours_as_8_bit(attributes_to_write(cloud)))
+    columns.update({name: _without_long_integers(name, values) for name, values in attributes.items()})
+    return columns
 
 
 def _without_long_integers(name: str, values: NDArray[Any]) -> NDArray[Any]:

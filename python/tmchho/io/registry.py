@@ -173,6 +173,8 @@ def write(
 def is_las(path: str | os.PathLike[str]) -> bool:
     """Return whether `read` would read this file as LAS or LAZ."""
     try:
+        if not os.path.isfile(path):
+            return False
         with open(path, "rb") as stream:
             return stream.read(len(SIGNATURE)) == SIGNATURE
     except OSError:
@@ -214,6 +216,8 @@ def _check_exists(path: Path) -> None:
         raise ReadError(f"{path}: does not exist; check the name and the folder")
     if path.is_dir():
         raise ReadError(f"{path}: is a folder; name a file in it")
+    if not path.is_file():  # opening a pipe would wait for whoever writes into it
+        raise ReadError(f"{path}: is a pipe or a device; copy its points into a file and name that")
 
 
 def _chosen_family(format: str) -> Format:

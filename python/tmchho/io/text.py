@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -247,11 +248,14 @@ def _narrowed(name: str, values: NDArray[np.float64]) -> NDArray[Any]:
 
 def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
     """Write commas and a header line for .csv, a number of points for .pts, else blanks and a // line."""
+    if path.suffix.lower() == ".csv":
+        with writing_csv_parts(path, cloud) as put:
+            put(cloud)
+        return
     columns: dict[str, NDArray[Any]] = {axis: cloud.xyz[:, index] for index, axis in enumerate(AXES)}
     columns.update(split_columns(attributes_to_write(cloud)))
     suffix = path.suffix.lower()
-    separator = "," if suffix == ".csv" else " "
-    header = separator.join(columns) + "\n" if suffix == ".csv" else f"//{' '.join(columns)}\n"
+    header = f"//{' '.join(columns)}\n"
     if suffix == ".pts":
         standard = (*AXES, *_PTS_COLUMNS.get(len(columns), ()))
         if set(columns) == set(standard):  # Leica's own order needs no names
@@ -260,7 +264,20 @@ def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
         header = f"{len(cloud)}\n{header}"
     with path.open("wb") as stream:
         stream.write(header.encode())
-        write_table(stream, list(columns.values()), separator.encode())
+        write_table(stream, list(columns.values()), b" ")
+
+
+@contextmanager
+def writing_csv_parts(path: Path, first: PointCloud) -> Iterator[Callable[[PointCloud], None]]:
+    """Open a file for clouds with the attributes of `first`; lends what writes one of them after another."""
+
+    def columns(cloud: PointCloud) -> dict[str, NDArray[Any]]:
+        coordinates: dict[str, NDArray[Any]] = {axis: cloud.xyz[:, at] for at, axis in enumerate(AXES)}
+        return coordinates | split_columns(attributes_to_write(cloud))
+
+    with path.open("wb") as stream:
+        stream.write((",".join(columns(first)) + "\n").encode())
+        yield lambda part: write_table(stream, list(columns(part).values()), b",")
 
 
 FORMAT = Format(

@@ -104,7 +104,13 @@ def bring_back(pair: Pair, away: Array, job: Job, should_stop: ShouldStop) -> Re
             searched = search(source.keypoints, pair.target.keypoints, job, should_stop)
             coarse = searched.candidates[0].transformation
             result |= {"history": searched.history.tolist(), "n_evaluations": searched.n_evaluations}
-        fine = icp(source.voxels, pair.target.voxels, init=coarse, method="point_to_point").transformation
+        fine = icp(
+            source.voxels,
+            pair.target.voxels,
+            init=coarse,
+            method="point_to_point",
+            coarse_to_fine=False,  # the paper's runs with all points from the first step
+        ).transformation
     result["rms"] = rms_between(source, pair.target, coarse, lambda scan: scan.keypoints)
     result["true_rms"] = rms_between(source, pair.target, wanted, lambda scan: scan.keypoints)
     result["fine_rms"] = rms_between(source, pair.target, fine, lambda scan: scan.voxels)

@@ -9,6 +9,7 @@ from the arguments and a seed.
 from tmchho.simulate.change import lower_ground, move_machine
 from tmchho.simulate.ground import Area, Ground
 from tmchho.simulate.materials import Material
+from tmchho.simulate.network import SimulatedNetwork, make_network
 from tmchho.simulate.pair import SimulatedPair, make_pair, random_pose
 from tmchho.simulate.photogrammetry import survey_photogrammetry
 from tmchho.simulate.scanner import survey_scanner
@@ -20,10 +21,12 @@ __all__ = [
     "Area",
     "Ground",
     "Material",
+    "SimulatedNetwork",
     "SimulatedPair",
     "Site",
     "Solid",
     "lower_ground",
+    "make_network",
     "make_pair",
     "make_site",
     "move_machine",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tmchho import _core
+from tmchho.evaluation.lengths import statistics_of_parts
 from tmchho.results import DistanceStatistics
 from tmchho.streams.thin import ThinnedFile
 from tmchho.streams.tiles import TiledFile
@@ -20,7 +22,6 @@ _SPACING_BLOCKS = 48
 _FEWEST_IN_BLOCK = 100  # of fewer, too many have their neighbours in the next block
 _SPACINGS = 10_000
 _AT_ONCE = 4_000_000
-_BINS = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,57 +71,26 @@ class DistanceFile:
         """Return the distances of some points; a minus sign means a repetition of the other cloud."""
         return np.fromfile(self.path, dtype=np.float32, count=stop - start, offset=4 * start)
 
+    def of(self, index: NDArray[np.uint32]) -> Floats:
+        """Return the distances of points anywhere in the file."""
+        kept = np.memmap(self.path, dtype=np.float32, mode="r", shape=(self.n_points,))
+        return np.abs(kept[index]).astype(np.float64)
+
+    def measured(self, max_distance: float | None) -> Iterator[Floats]:
+        """Give all distances that do not exceed a limit, part by part."""
+        for start in range(0, self.n_points, _AT_ONCE):
+            part = np.abs(self.part(start, min(start + _AT_ONCE, self.n_points))).astype(np.float64)
+            yield part if max_distance is None else part[part <= max_distance]
+
     def statistics(self) -> DistanceStatistics:
-        """Sum up all distances, part by part; quantiles to a 2³²th of the range."""
-        n, total, squares = 0, 0.0, 0.0
-        best, worst = np.inf, 0.0
-        for part in self._parts():
-            n += len(part)
-            total += float(part.sum())
-            best, worst = min(best, float(part.min())), max(worst, float(part.max()))
-        mean = total / n
-        deviations = 0.0
-        for part in self._parts():
-            squares += float((part * part).sum())
-            deviations += float(((part - mean) ** 2).sum())
-        return DistanceStatistics(
-            n_points=n,
-            mean=mean,
-            best=best,
-            worst=worst,
-            std=float(np.sqrt(deviations / n)),
-            rms=float(np.sqrt(squares / n)),
-            median=self._quantile(0.5, best, worst),
-            percentile_95=self._quantile(0.95, best, worst),
-        )
+        """Sum up all distances, part by part."""
+        found = statistics_of_parts(lambda: self.measured(None))
+        assert found is not None  # no file is without points
+        return found
 
     def share_within(self, distance: float) -> float:
         """Return the share of points whose distance does not exceed this."""
-        return sum(int(np.count_nonzero(part <= distance)) for part in self._parts()) / self.n_points
-
-    def _parts(self) -> list[Floats] | map[Floats]:
-        starts = range(0, self.n_points, _AT_ONCE)
-        return map(
-            lambda start: np.abs(self.part(start, min(start + _AT_ONCE, self.n_points))).astype(np.float64),
-            starts,
-        )
-
-    def _quantile(self, share: float, low: float, high: float) -> float:
-        """Return the value below which this share lies, narrowed down by counting twice."""
-        rank = share * (self.n_points - 1)
-        below = 0
-        for _ in range(2):
-            if high <= low:
-                break
-            counts = np.zeros(_BINS, dtype=np.int64)
-            for part in self._parts():
-                counts += np.histogram(part, bins=_BINS, range=(low, high))[0]
-            reached = below + np.cumsum(counts)
-            chosen = int(np.searchsorted(reached, rank, side="right"))
-            below = int(reached[chosen - 1]) if chosen else below
-            width = (high - low) / _BINS
-            low, high = low + chosen * width, low + (chosen + 1) * width
-        return (low + high) / 2
+        return sum(int(np.count_nonzero(part <= distance)) for part in self.measured(None)) / self.n_points
 
 
 def spacing_quantile(tiled: TiledFile, quantile: float) -> float:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
-from pathlib import Path
 
 from tmchho.errors import InvalidArgumentError
 from tmchho.io import is_las, open_las
+from tmchho.room import machine_memory, room_left
 
 _SHARE = 0.5  # of the machine's, where nothing is said
 _LEAST = 200_000_000  # the interpreter, its libraries and one part of a file
@@ -52,12 +52,9 @@ def parse_bytes(text: str) -> int:
 
 
 def default_max_memory() -> int:
-    """Return half of the memory of the machine, or of the group of processes that this one is confined to."""
-    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
-    confined = Path("/sys/fs/cgroup/memory.max")
-    if confined.exists():
-        text = confined.read_text(encoding="ascii").strip()
-        limits += [int(text)] if text.isdigit() else []
+    """Return half of the memory of the machine, or of what this process is confined to."""
+    room = room_left()
+    limits = [machine_memory(), *([] if room is None else [room])]
     return max(_LEAST, int(_SHARE * min(limits)))
 
 

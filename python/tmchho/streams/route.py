@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,15 +14,19 @@ import numpy as np
 from tmchho import _core
 from tmchho.cloud import PointCloud
 from tmchho.config import ConfigLike
+from tmchho.evaluation.areas import Area
+from tmchho.evaluation.record import entries_of
 from tmchho.io import open_las, writing_las
 from tmchho.io.las_stream import LasPoints
 from tmchho.outputs import staging
 from tmchho.pipeline import register
 from tmchho.progress import ProgressCallback
 from tmchho.results import DistanceStatistics, Registration, StageRecord
-from tmchho.streams.distances import FarCloud, measure_tiles, spacing_quantile
+from tmchho.streams.distances import DistanceFile, FarCloud, measure_tiles, spacing_quantile
+from tmchho.streams.evaluate import middle_spacing, rows_of_areas, summed_up
 from tmchho.streams.layout import colour_factors
 from tmchho.streams.memory import default_max_memory, n_centroids, n_tile_points
+from tmchho.streams.pair import TiledPair
 from tmchho.streams.thin import Keep, ThinnedFile, thin_file
 from tmchho.streams.tiles import cut_space, sort_into_tiles
 from tmchho.streams.writing import Fusion, write_fusion
@@ -51,6 +55,8 @@ class StreamedFusion:
         By how much these larger ones can be wrong.
     report : dict
         What ``result.json`` tells of the fusion.
+    entries : dict
+        What it tells of distances and areas, as `tmchho.evaluation.distance_entries`.
     seconds : dict
         Of each part, ``wall`` and ``process``: what the clock says and what the processors worked.
     """
@@ -62,6 +68,7 @@ class StreamedFusion:
     exact_up_to: float
     far_error: float
     report: dict[str, Any]
+    entries: dict[str, Any]
     seconds: dict[str, dict[str, float]]
 
 
@@ -153,6 +160,8 @@ def fuse_files(
     hole_radius: float | None = None,
     max_distance: float = 0.0,
     max_memory: int | None = None,
+    areas: Sequence[Area] | None = None,
+    tolerance: float | None = None,
 ) -> StreamedFusion:
     """Measure and fuse two files at a known pose, tile by tile.
 
@@ -176,6 +185,10 @@ def fuse_files(
         Points within this of the other cloud belong to the overlap.
     max_memory : int, optional
         Bytes to keep to, about; half of the machine's where not given.
+    areas : sequence of Area, optional
+        By which distances are summed up; five strips along the overlap where not given.
+    tolerance : float, optional
+        For the share of points within it.
 
     Returns
     -------
@@ -212,6 +225,16 @@ def fuse_files(
             )
             statistics = of_source.statistics(), of_target.statistics()
             overlaps = of_source.share_within(max_distance), of_target.share_within(max_distance)
+        with _timed(seconds, "areas"):
+            entries = _entries(
+                TiledPair(tiled_source, tiled_target, cuts, edge),
+                (of_source, of_target),
+                statistics,
+                scratch,
+                areas,
+                tolerance,
+                hole_radius,
+            )
         with _timed(seconds, "fuse"), writing_las(fused_path):
             fusion = Fusion(
                 source=source,
@@ -234,7 +257,39 @@ def fuse_files(
         exact_up_to=reach,
         far_error=max(far_source.error, far_target.error),
         report=report,
+        entries=entries,
         seconds=seconds,
+    )
+
+
+def _entries(
+    pair: TiledPair,
+    distances: tuple[DistanceFile, DistanceFile],
+    every: tuple[DistanceStatistics, DistanceStatistics],
+    folder: Path,
+    areas: Sequence[Area] | None,
+    tolerance: float | None,
+    hole_radius: float,
+) -> dict[str, Any]:
+    rows = rows_of_areas(
+        pair,
+        *distances,
+        folder,
+        areas,
+        cell=hole_radius,
+        reach=hole_radius,
+        tolerance=tolerance,
+        max_distance=hole_radius,
+    )
+    sums = [summed_up(file, tolerance, hole_radius) for file in distances]
+    return entries_of(
+        rows,
+        (sums[0], sums[1]),
+        (middle_spacing(pair.source), middle_spacing(pair.target)),
+        every,
+        tolerance=tolerance,
+        max_distance=hole_radius,
+        is_automatic=areas is None,
     )
 
 

@@ -50,6 +50,19 @@ class Cuts:
         """Return the first block of a tile, and the first behind it."""
         return tile << _BLOCK_LEVELS, (tile + 1) << _BLOCK_LEVELS
 
+    def cell_of(self, tile: int) -> tuple[Floats, Floats]:
+        """Return the corners of a tile's part of space, infinite at the rim."""
+        low, high = np.full(3, -np.inf), np.full(3, np.inf)
+        node = tile + self.n_tiles - 1
+        while node:
+            node, is_above = (node - 1) // 2, node % 2 == 0
+            axis, place = self.axes[node], self.places[node]
+            if is_above:
+                low[axis] = max(low[axis], place)
+            else:
+                high[axis] = min(high[axis], place)
+        return low, high
+
     def block_of(self, points: Floats) -> NDArray[np.uint16]:
         """Return the number of the block of each point."""
         return _core.tile_of(np.ascontiguousarray(points), self.axes, self.places)
@@ -134,18 +147,34 @@ class TiledFile:
         """Return the points of one block, in the tiles' frame."""
         return self._places(self._entries([(block, block + 1)])["steps"])
 
+    def sample(self, most: int) -> Floats:
+        """Return every so-many-th point in the file's order, so that there are at most so many."""
+        stride = max(1, -(-len(self.file) // most))
+        found = [np.empty(0, dtype=_ENTRY)]
+        for tile in range(len(self.lows) >> _BLOCK_LEVELS):
+            entries = self._entries([Cuts.blocks_of(tile)])
+            found.append(entries[entries["index"] % stride == 0])
+        chosen = np.concatenate(found)
+        return self._places(chosen[np.argsort(chosen["index"])]["steps"])
+
     def near(self, tile: int, low: Floats, high: Floats) -> Floats:
         """Return the points of all other tiles that lie in a box."""
-        own = slice(*Cuts.blocks_of(tile))
+        return self.within(low, high, skipped=slice(*Cuts.blocks_of(tile)))[0]
+
+    def within(
+        self, low: Floats, high: Floats, skipped: slice = slice(0)
+    ) -> tuple[Floats, NDArray[np.uint32]]:
+        """Return the points in a box, but those of the blocks `skipped`, and where they stand in the file."""
         meets = np.asarray((self.lows <= high).all(axis=1) & (self.highs >= low).all(axis=1))
-        meets[own] = False
+        meets[skipped] = False
         # Neighbouring blocks are read at once.
         edges = np.flatnonzero(np.diff(np.concatenate([[False], meets, [False]]).astype(np.int8)))
-        points = self._places(self._entries(list(map(tuple, edges.reshape(-1, 2))))["steps"])
+        entries = self._entries(list(map(tuple, edges.reshape(-1, 2))))
+        points = self._places(entries["steps"])
         inside = np.ones(len(points), dtype=bool)
         for axis in range(3):
             inside &= (points[:, axis] >= low[axis]) & (points[:, axis] <= high[axis])
-        return points[inside]
+        return points[inside], entries["index"][inside]
 
     def _entries(self, runs: list[tuple[int, int]]) -> NDArray[np.void]:
         """Read runs of blocks, from the first up to but not including the second number."""

@@ -1,0 +1,104 @@
+"""How much memory this process may still take, and a refusal with figures before it runs out.
+
+Why before: where the system refuses memory in the middle of a computation, the process ends without a word.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from tmchho.errors import BudgetError
+
+_CONFINED = Path("/sys/fs/cgroup/memory.max")
+_STATUS = Path("/proc/self/status")
+# Measured: registering, evaluating or fusing two clouds that are in memory takes 250 to 400 bytes a point.
+_BYTES_PER_POINT = 400
+_LEAST = 60_000_000  # threads, whatever they work on
+_LEAST_FOR_PARTS = 600_000_000
+
+
+def machine_memory() -> int:
+    """Return the bytes of memory of the machine, or of the group that this process is confined to."""
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    confined = _confined()
+    return total if confined is None else min(total, confined)
+
+
+def room_left() -> int | None:
+    """Return the bytes that this process may still take by `ulimit -v` or its group; None without a limit."""
+    rooms = []
+    limit = _address_limit()
+    if limit is not None:
+        rooms.append(limit - _kilobytes("VmSize:"))
+    confined = _confined()
+    if confined is not None:
+        rooms.append(confined - _kilobytes("VmRSS:"))
+    return max(0, min(rooms)) if rooms else None
+
+
+def check_room(n_points: int, bytes_per_point: int = _BYTES_PER_POINT) -> None:
+    """Raise `BudgetError` if so many points need more memory than this process may take.
+
+    Parameters
+    ----------
+    n_points : int
+        Of both clouds.
+    bytes_per_point : int, default 400
+        What each takes.
+    """
+    room, needed = room_left(), _LEAST + n_points * bytes_per_point
+    if room is not None and needed > room:
+        raise BudgetError(
+            f"{n_points:,} points need about {in_words(needed)} of memory, and this process may take only "
+            f"{in_words(room)} more (ulimit -v, or the limit of its group); raise the limit, thin the clouds "
+            "out, or give LAS or LAZ files to tmchho register, which works on them in parts"
+        )
+
+
+def check_room_for_parts() -> None:
+    """Raise `BudgetError` if not even files in parts can be worked on."""
+    room = room_left()
+    if room is not None and room < _LEAST_FOR_PARTS:
+        raise BudgetError(
+            f"to work on files in parts takes about {in_words(_LEAST_FOR_PARTS)} of memory, and this process "
+            f"may take only {in_words(room)} more (ulimit -v, or the limit of its group); raise the limit"
+        )
+
+
+def in_words(n_bytes: float) -> str:
+    """Return an amount of memory for people.
+
+    Examples
+    --------
+    >>> in_words(1_234_000_000), in_words(56_700_000)
+    ('1.2 GB', '57 MB')
+    """
+    return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.0f} MB"
+
+
+def _address_limit() -> int | None:
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return None
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
+def _confined() -> int | None:
+    try:
+        text = _CONFINED.read_text(encoding="ascii").strip()
+    except OSError:
+        return None
+    return int(text) if text.isdigit() else None
+
+
+def _kilobytes(key: str) -> int:
+    """Return a figure of this process in bytes; 0 where the system does not tell."""
+    try:
+        text = _STATUS.read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return 0
+    found = text.partition(key)[2].split()
+    return 1024 * int(found[0]) if found else 0
