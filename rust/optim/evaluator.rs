@@ -6,7 +6,7 @@
 //! lately, better or not, and what it asks next is evaluated, too. If that was right, the next value is
 //! there when it is wanted; if not, it is thrown away. The search itself sees the same values in the
 //! same order.
-//! What to expect: of two threads nine in ten values looked at ahead are used.
+//! What to expect: with two threads seven to nine in ten of the values found ahead are used.
 //! To know: values thrown away are not counted as evaluations of the search, because they depend on
 //! the machine. With one thread there are none.
 
