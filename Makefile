@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 RUST   := $(shell find rust -name '*.rs')
 
-.PHONY: help demo test test-rust test-python lint bench clean
+.PHONY: help demo test test-rust test-python docs lint bench clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/'
@@ -19,6 +19,9 @@ test-rust: ## The crate alone; needs no Python
 
 test-python: $(VENV)/.ready ## The Python package, its command line and its examples
 	$(BIN)/python -m pytest -q
+
+docs: $(VENV)/.ready ## The documentation site, in out/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 lint: $(VENV)/.ready ## Formatting, lints and types, Rust and Python
 	cargo fmt --check

@@ -62,3 +62,8 @@ pub use rigid::Rigid;
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct ReadmeExamples;
+
+/// Runs the Rust examples of the documentation site.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/how_to/rust.md")]
+struct RustPageExamples;

@@ -17,7 +17,7 @@ _MOST_COORDINATES = 10**6
 class BenchmarkFunction(NamedTuple):
     """One of the seven functions of the paper's Table 1; all have their minimum at the origin.
 
-    Parameters
+    Attributes
     ----------
     name : str
         ``f1`` to ``f7``.

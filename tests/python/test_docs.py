@@ -1,6 +1,6 @@
 """What the documents say of the tree is true: names exist, links lead somewhere, examples run.
 
-Addresses outside the repository are not opened, and commands in shell blocks are not run here.
+Addresses outside the repository are not opened. Of the shell blocks, those of the tutorial are run.
 """
 
 from __future__ import annotations
@@ -8,11 +8,17 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
+
+from tmchho.cli import main
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAPER_MAP = REPOSITORY / "docs" / "paper_map.md"
@@ -193,15 +199,54 @@ def test_the_changelog_tells_of_this_version() -> None:
     assert {"Unreleased", cargo_version()} & set(headings)
 
 
-def test_the_python_examples_of_the_readme_run_in_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    readme = REPOSITORY / "README.md"
-    blocks = [match for match in FENCE.finditer(text_of(readme)) if match[1] == "python"]
+def run_python_examples(document: Path) -> None:
+    """Run the Python blocks of a document from top to bottom, with the names that earlier ones made."""
+    blocks = [match for match in FENCE.finditer(text_of(document)) if match[1] == "python"]
     assert blocks
-    monkeypatch.chdir(tmp_path)
-    namespace: dict[str, object] = {"__name__": "readme"}
+    namespace: dict[str, object] = {"__name__": document.stem}
     for block in blocks:
-        n_lines_before = text_of(readme)[: block.start(2)].count("\n")
-        code = compile("\n" * n_lines_before + block[2], "README.md", "exec")
+        n_lines_before = text_of(document)[: block.start(2)].count("\n")
+        code = compile("\n" * n_lines_before + block[2], name_of(document), "exec")
         exec(code, namespace)
+
+
+@pytest.mark.parametrize("document", ["README.md", "docs/how_to/researcher.md"])
+def test_the_python_examples_run_in_order(
+    document: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run_python_examples(REPOSITORY / document)
+
+
+def test_the_tutorial_works_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tutorial = REPOSITORY / "docs" / "tutorial.md"
+    blocks = [match[2] for match in FENCE.finditer(text_of(tutorial)) if match[1] == "sh"]
+    commands = [shlex.split(line)[1:] for block in blocks for line in block.splitlines()]
+    monkeypatch.chdir(tmp_path)
+    outputs = {}
+    for words in commands:
+        # The page is made once, by `tmchho report`.
+        quicker = ["--no-report"] if words[0] in {"demo", "register"} else []
+        result = CliRunner().invoke(main, [*words, *quicker])
+        assert result.exit_code == 0, (words, result.output)
+        outputs[words[0]] = result.stdout
+    (shown,) = (match[2].strip() for match in FENCE.finditer(text_of(tutorial)) if match[1] == "text")
+    assert outputs["demo"].startswith(shown.split(":")[0] + ":")
+    assert (tmp_path / "out/site/report.html").stat().st_size > 0
+    run_python_examples(tutorial)
+
+
+def test_the_python_examples_have_right_types(tmp_path: Path) -> None:
+    pages = ["README.md", "docs/tutorial.md", "docs/how_to/researcher.md", "docs/network.md"]
+    for number, page in enumerate(pages):
+        blocks = [match[2] for match in FENCE.finditer(text_of(REPOSITORY / page)) if match[1] == "python"]
+        (tmp_path / f"page_{number}.py").write_text("\n".join(blocks), encoding="utf-8")
+    scripts = [*sorted(tmp_path.glob("*.py")), *sorted((REPOSITORY / "examples").glob("*.py"))]
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--config-file", REPOSITORY / "pyproject.toml", *scripts],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
