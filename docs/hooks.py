@@ -1,4 +1,4 @@
-"""Brings documents that lie outside `docs/` into the site, and makes links between all of them lead somewhere.
+"""Brings documents from outside `docs/` into the site, and makes links between all of them lead somewhere.
 
 The documents are written for people who read them in the repository, where README.md links to docs/report.md.
 In the site README.md is the first page, so links are turned to where the pages lie there.
