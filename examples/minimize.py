@@ -4,6 +4,7 @@ Run it with `python examples/minimize.py`.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 import tmchho
 
@@ -21,9 +22,10 @@ for method in ("hho", "tmchho", "tmchho_free", "pso"):
 
 
 # A function of one's own, which takes many points at once.
-def valley(points):
+def valley(points: NDArray[np.float64]) -> NDArray[np.float64]:
     x, y = points.T
-    return (1 - x) ** 2 + 100 * (y - x**2) ** 2
+    values: NDArray[np.float64] = (1 - x) ** 2 + 100 * (y - x**2) ** 2
+    return values
 
 
 found = tmchho.minimize(valley, [(-2, 2), (-1, 3)], method="tmchho_free", vectorized=True, seed=1)

@@ -21,7 +21,7 @@ about = thinned.mean(axis=0)
 moved = tmchho.euler_to_matrix([0.0, 0.0, 0.02, 0.5, 0.0, 0.0])
 source = (thinned - about) @ moved[:3, :3].T + moved[:3, 3]
 target = thinned - about
-for name, parameters in [("as given", np.zeros(6)), ("brought back", [0.0, 0.0, -0.02, -0.5, 0.01, 0.0])]:
+for name, parameters in [("as given", [0.0] * 6), ("brought back", [0.0, 0.0, -0.02, -0.5, 0.01, 0.0])]:
     print(f"RMS {name}: {tmchho.rms_fitness(source, target, parameters):.4f} m")
 
 # Eq. (8): ICP brings the last bit.
