@@ -31,9 +31,11 @@ SEEN_VOXELS = 5.0
 # A part of a block with fewer points is not searched for itself.
 MIN_UNSEEN_POINTS = 1000
 # The other place must leave so many times as much of the station unexplained.
-MIN_SEAT_RATIO = 1.4
-# Poses nearer to each other than this, after they were drawn onto the surface, are one place.
-SAME_PLACE_VOXELS = 2.0
+MIN_SEAT_RATIO = 1.3
+# Poses nearer to each other than this are one place: how firmly the surface holds it there is not asked here.
+SAME_PLACE_VOXELS = 5.0
+# The pose that is then registered at the best place lies as near to it as this.
+HELD_VOXELS = 2.0
 # Partners are looked for within so many voxels, round after round.
 REACHES_VOXELS = (4.0,) * 10 + (2.0,) * 10 + (1.0,) * 20
 MAX_POINTS = 4000
@@ -59,9 +61,9 @@ def seat_station(item: Item) -> Item:
     Returns
     -------
     dict
-        As `register_link` returns it, for the best place, accepted where it is the only one; ``ambiguity_ratio``
-        is what the next best place leaves unexplained by what the best one does. Also ``rival``, the pose of
-        that place, None without.
+        As `register_link` returns it, for the best place, accepted where it is the only one;
+        ``ambiguity_ratio`` is what the next best place leaves unexplained by what the best one does. Also
+        ``rival``, the pose of that place, None without.
     """
     source, target = (load(item[role])["points"] for role in ("source", "target"))
     poses = [np.array(pose) for pose in item["places"]]
@@ -88,7 +90,7 @@ def seat_station(item: Item) -> Item:
         return {**found, "rival": None}
     away = _apart(np.array(found["pose"]), best, source[:: max(1, len(source) // MAX_POINTS)])
     found["ambiguity_ratio"] = ratio if math.isfinite(ratio) else None
-    if away > SAME_PLACE_VOXELS * item["voxel_size"]:
+    if away > HELD_VOXELS * item["voxel_size"]:
         found["verdict"], found["reasons"] = "rejected", ["the surface does not hold it where it fits best"]
     elif ratio >= MIN_SEAT_RATIO:
         found["verdict"] = "accepted"
@@ -117,7 +119,7 @@ def compare_places(
     -------
     list of (pose, share)
         Of places that differ, the best first: the share of those points of the station that have a surface
-        of the block nearby whose distance from it is no larger than the scatter of the best place lets expect.
+        of the block no farther away than the scatter of the best place lets expect.
     """
     from scipy.spatial import cKDTree
 
@@ -185,7 +187,7 @@ def _drawn(station: VoxelCloud, block: VoxelCloud, tree: Any, pose: Array, voxel
 
 
 def _residuals(station: VoxelCloud, block: VoxelCloud, tree: Any, pose: Array, voxel_size: float) -> Array:
-    """Return the distances of a station's points from the surface of a block, infinite where there is none."""
+    """Return how far a station's points lie from the surface of a block, infinite where there is none."""
     moved = applied(pose, station.points)
     distance, partner = tree.query(moved, distance_upper_bound=1.5 * voxel_size)
     near = np.flatnonzero(np.isfinite(distance))
