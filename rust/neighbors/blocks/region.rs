@@ -131,7 +131,8 @@ impl NeighborIndex {
         radius_m: f64,
         found: impl FnMut(Point, f64),
     ) {
-        let radius_sq = radius_m * radius_m;
+        // Empty lanes stand at infinity, which no radius reaches.
+        let radius_sq = (radius_m * radius_m).min(f64::MAX);
         self.tree.visit(
             centre,
             &mut Ball {
@@ -192,6 +193,19 @@ mod tests {
 
     fn minus(a: &Point, b: &Point) -> Point {
         std::array::from_fn(|axis| a[axis] - b[axis])
+    }
+
+    #[test]
+    fn a_ball_larger_than_any_square_holds_the_points_and_no_empty_place() {
+        for n in [1, 9] {
+            let points: Vec<Point> = (0..n).map(|i| [f64::from(i), 0.0, 1.0]).collect();
+            let index = NeighborIndex::new(&points);
+            for radius_m in [1e154, 1e200, f64::INFINITY] {
+                let mut found = 0;
+                index.each_in_ball(&[0.0; 3], radius_m, |_, _| found += 1);
+                assert_eq!(found, n, "{radius_m}");
+            }
+        }
     }
 
     #[test]
