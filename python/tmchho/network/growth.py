@@ -6,7 +6,9 @@
    second would otherwise be taken for the first by all neighbours, and agree with all of them.
 3. Stations that are not sure ask the votes of the descriptors, look briefly at those named, and try the best;
    each round goes further down their lists.
-4. What is still not placed is searched as thoroughly as a pair alone would be.
+4. Stations that a block should hold, but does not alone, are sought there thoroughly, all their places
+   compared. One with two places is given up, whoever took it for his neighbour.
+5. What is still not placed is searched as thoroughly as a pair alone would be.
 
 So the number of registrations follows the links that exist, not the pairs that could be thought of.
 """
@@ -26,6 +28,7 @@ from tmchho.network.links import Link, link_of, register_link
 from tmchho.network.loops import Bodies, Checked, agreeing_links, check_loops, components, placed_by
 from tmchho.network.poses import inverse
 from tmchho.network.propose import Pair, overlapping_pairs, screen_pair, voted_pairs
+from tmchho.network.seat import seat_station
 
 Array = NDArray[np.float64]
 
@@ -36,6 +39,7 @@ MAX_ROUNDS = 3
 # A thorough search costs ten times as much as a quick one.
 N_THOROUGH = 3
 MAX_THOROUGH_ROUNDS = 2
+MAX_SEATING_ROUNDS = 2
 # A station is sought at once in a block up to so many times its size; a smaller one asks others first.
 MAX_SIZE_RATIO = 4.0
 # Standard deviations of where a pair is looked for that overlaps as its stations are placed.
@@ -96,6 +100,8 @@ class Growth:
     engine: Engine
     results: dict[Pair, Item] = field(default_factory=dict)
     screened: dict[Pair, Item] = field(default_factory=dict)
+    # Stations that fit at two places alike, and what is said of them.
+    two_places: dict[int, str] = field(default_factory=dict)
 
     def grow(self, near: Iterable[Pair], known: NDArray[np.bool_]) -> None:
         """Register what is worth it until every station is placed or nothing is left to try.
@@ -127,8 +133,10 @@ class Growth:
             votes = votes or voted_pairs(self.material.described)
             self.register(self._best_voted(asking, votes, turn), quick=True)
             self.spread()
+        for block in sorted(blocks - self.material.free_scale):
+            self.seat(block)
         for turn in range(MAX_THOROUGH_ROUNDS):
-            lost = self.lost()
+            lost = sorted(set(self.lost()) - set(self.two_places))
             if not lost:
                 return
             self.register(self._thorough(lost, turn), quick=False)
@@ -179,13 +187,21 @@ class Growth:
         a, b = pair
         return (b, a) if b in self.material.free_scale and a not in self.material.free_scale else (a, b)
 
-    def links(self, verdicts: tuple[str, ...] = ("accepted",)) -> list[Link]:
-        """Return the links of some verdicts, in the order of their stations."""
+    def links(self, verdicts: tuple[str, ...] = ("accepted",), *, of_two_places: bool = False) -> list[Link]:
+        """Return the links of some verdicts, in the order of their stations.
+
+        Parameters
+        ----------
+        verdicts : tuple of str
+            Of the pairs alone.
+        of_two_places : bool, default False
+            Whether those of stations that fit at two places are wanted, or those of all others.
+        """
         found = []
         bodies = self.material.bodies
         for pair in sorted(self.results):
             result = self.results[pair]
-            if result["verdict"] in verdicts:
+            if result["verdict"] in verdicts and bool(set(pair) & set(self.two_places)) == of_two_places:
                 source, target = self.direction(pair)
                 link = link_of(source, target, result, bodies.voxel_size, bodies.middles[target])
                 if link is not None:
@@ -249,6 +265,82 @@ class Growth:
             if checked.n_loops[number] > checked.n_open[number] or ends & self.material.blocks:
                 found |= ends
         return found
+
+    def seat(self, block: int) -> None:
+        """Seek the stations in a block that it does not hold alone, and give up those that fit twice.
+
+        Parameters
+        ----------
+        block : int
+            One of known scale.
+        """
+        material = self.material
+        for turn in range(MAX_SEATING_ROUNDS):
+            (group,) = (group for group in self.groups() if block in group)
+            in_block = {station: inverse(group[block]) @ pose for station, pose in group.items()}
+            lost = set(self.lost())
+            wanted = [
+                ordered(station, block)
+                for station in range(len(material))
+                if station not in material.blocks
+                and not self._is_held(station, block)
+                and station not in self.two_places
+                and (station in lost or not turn)
+            ]
+            if not wanted:
+                return
+            sure = self.sure()
+            items = [self._seat_item(pair, block, in_block, sure) for pair in wanted]
+            before = len(lost)
+            for pair, found in zip(wanted, self.engine.run("seats", seat_station, items), strict=True):
+                (station,) = set(pair) - {block}
+                self._take_seat(pair, station, block, found, in_block.get(station))
+            self.spread()
+            if len(self.lost()) >= before:
+                return
+
+    def _is_held(self, station: int, block: int) -> bool:
+        result = self.results.get(ordered(station, block))
+        return result is not None and bool(result["verdict"] == "accepted")
+
+    def _seat_item(self, pair: Pair, block: int, in_block: dict[int, Array], sure: set[int]) -> Item:
+        material = self.material
+        (station,) = set(pair) - {block}
+        seen = sorted((set(in_block) & sure) - {block, station})
+        rounds = self.config["coarse"]["rotations_per_round"]
+        quick = {**self.config["coarse"], "rotations_per_round": rounds[:1]}
+        prior = self._prior(np.eye(4))
+        return {
+            "source": material.prepared[station],
+            "target": material.prepared[block],
+            "station": material.described[station],
+            "block": material.described[block],
+            "config": self.config,
+            "near_config": {
+                **self.config,
+                "coarse": quick,
+                "known": {**self.config["known"], "prior": prior},
+            },
+            "places": [in_block[station].tolist()] if station in in_block else [],
+            "seen": [{"cloud": material.described[k], "pose": in_block[k].tolist()} for k in seen],
+            "voxel_size": material.bodies.voxel_size,
+        }
+
+    def _take_seat(self, pair: Pair, station: int, block: int, found: Item, place: Array | None) -> None:
+        """Believe what was found in the block, or give a station up that was placed and fits twice."""
+        if found["pose"] is None:
+            return
+        if found["verdict"] == "accepted":
+            if self.direction(pair) != (station, block):
+                back = inverse(np.array(found["pose"])).tolist()
+                shares = {
+                    "overlap_of_source": found["overlap_of_target"],
+                    "overlap_of_target": found["overlap_of_source"],
+                }
+                found = {**found, **shares, "pose": back, "covariance": None, "middle": None}
+            self.results[pair] = {**found, "full": True}
+        elif found["verdict"] == "review" and place is not None:
+            self.two_places[station] = found["reasons"][0]
 
     def _prior(self, pose: Array) -> dict[str, Any]:
         """Return a pose as loose prior knowledge: what is found within it has still found itself."""

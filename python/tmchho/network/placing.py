@@ -164,7 +164,13 @@ def place(growth: Growth, frame: Frame) -> NetworkPlaces:
         is_kept = id(link) in confirmed_ids
         reason = "" if is_kept else f"the pair alone is not accepted ({link.record['reasons'][0]})"
         residual, normalised = _residuals(link, fine.poses, bodies)
-        judged.append(JudgedLink(link, is_kept, reason, None, 0, 0, residual, normalised))
+        # What says the same as a network that was placed without it has closed a loop.
+        judged.append(JudgedLink(link, is_kept, reason, None, int(is_kept), 0, residual, normalised))
+    for link in growth.links(("accepted", "review", "rejected"), of_two_places=True):
+        said = [growth.two_places[k] for k in (link.source, link.target) if k in growth.two_places]
+        judged.append(
+            JudgedLink(link, False, f"a station of it fits twice: {said[0]}", None, 0, 0, None, None)
+        )
     judged.sort(key=lambda one: ordered(one.link.source, one.link.target))
     return NetworkPlaces(
         fine.poses,

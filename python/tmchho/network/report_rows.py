@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tmchho.network.growth import Growth, Material
+from tmchho.network.growth import Growth
 from tmchho.network.placing import NetworkPlaces
 from tmchho.network.poses import applied, scale_of
 from tmchho.network.results import FineOverlap, LoopClosure, NetworkLink, PlacedStation
@@ -15,15 +15,17 @@ from tmchho.network.stations import Station
 
 
 def station_rows(
-    stations: Sequence[Station], found: NetworkPlaces, material: Material
+    stations: Sequence[Station], found: NetworkPlaces, growth: Growth
 ) -> tuple[PlacedStation, ...]:
     """Return where each station stands."""
-    rows = []
+    rows, material = [], growth.material
     for number, station in enumerate(stations):
         kept = [one for one in found.judged if one.kept and number in (one.link.source, one.link.target)]
         unchecked = all(one.n_loops == 0 for one in kept)
         pose = found.poses.get(number)
-        if pose is None:
+        if pose is None and number in growth.two_places:
+            note = f"not placed: {growth.two_places[number]}"
+        elif pose is None:
             note = "not placed: no accepted link ties it to the frame of the network"
         elif len(stations) > 2 and number not in found.held and unchecked:
             note = "no loop checks its links"

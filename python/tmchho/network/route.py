@@ -182,7 +182,7 @@ def _result(
     n = len(stations)
     names = [station.name for station in stations]
     return NetworkRegistration(
-        stations=station_rows(stations, found, growth.material),
+        stations=station_rows(stations, found, growth),
         links=link_rows(names, found, growth),
         loops=loop_rows(names, found),
         overlaps=overlap_rows(names, found),
