@@ -182,9 +182,7 @@ pub fn search_robust(
             break;
         }
         n_rounds += 1;
-        // Turned about one axis alone, few starts already meet the rivals.
-        let is_early =
-            round.is_early() && i + 1 < rounds.len() && problem.freedom != Freedom::Levelled;
+        let is_early = round.is_early() && i + 1 < rounds.len();
         let found = match *round {
             Round::Starts { index, n_rotations } => {
                 let which = (index, n_rotations);
@@ -210,8 +208,10 @@ pub fn search_robust(
         let n_certain = given.len();
         let poses = [std::mem::take(&mut given), found].concat();
         verifier.look_at(&poses, n_certain, deadline, progress)?;
+        // Levelled clouds that repeat themselves, a row of windows, meet their rivals late.
+        let ends_early = problem.freedom != Freedom::Levelled;
         stands_out = match is_early {
-            true => enough.early().is_met(&verifier),
+            true => ends_early && enough.early().is_met(&verifier),
             false => enough.is_met(&verifier),
         };
     }
