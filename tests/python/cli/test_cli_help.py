@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import click
@@ -23,7 +19,6 @@ COMMANDS = list(main.commands)
 # A command of a document stands in a fenced or an indented block.
 FENCED = re.compile(r"^```(?:sh|console)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"(?:^ {4}\S.*\n)+", re.MULTILINE)
-SHELLS = [shell for shell in ("bash", "zsh", "fish") if shutil.which(shell)]
 
 
 def test_the_version() -> None:
@@ -58,7 +53,7 @@ def test_the_commands_of_a_document_name_real_options(document: Path) -> None:
 
 
 def commands_in(text: str) -> list[list[str]]:
-    """Return the words behind `tmchho` of each command; variables before it and a redirection are left out."""
+    """Return the words behind `tmchho` of each command, without variables before it or a redirection."""
     joined = re.sub(r"\\\n\s*", " ", text)
     found = re.findall(r"^\s*(?:[A-Z_]+=\S+ )?tmchho +(.+)$", joined, re.MULTILINE)
     return [shlex.split(line.partition(" > ")[0], comments=True) for line in found]
@@ -73,33 +68,3 @@ def check(words: list[str]) -> None:
     context = click.Context(command, info_name=name)
     _, left, _ = command.make_parser(context).parse_args(rest)
     assert left == [], words
-
-
-@pytest.mark.parametrize("shell", SHELLS)
-def test_a_shell_completes_commands_options_and_values(shell: str, tmp_path: Path) -> None:
-    # The program under the name that the script asks for.
-    program = tmp_path / "tmchho"
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m tmchho "$@"\n')
-    program.chmod(0o755)
-    source = tmp_path / "completion"
-    source.write_text(run("completion", shell).stdout)
-    environment = {**os.environ, "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
-
-    def completed(line: str) -> set[str]:
-        words = line.split(" ")
-        place = f"COMP_CWORD={len(words) - 1}"
-        code = {
-            "bash": f"source {source}; COMP_WORDS=({shlex.join(words)}); {place}; _tmchho_completion tmchho; "
-            'printf "%s\\n" "${COMPREPLY[@]}"',
-            # zsh completes only at a prompt; the question that its function would ask is asked here.
-            "zsh": f"autoload -U compinit; compinit -D; source {source}; "
-            f"COMP_WORDS={shlex.quote(line)} {place} _TMCHHO_COMPLETE=zsh_complete tmchho",
-            "fish": f"source {source}; complete --do-complete {shlex.quote(line)}",
-        }[shell]
-        done = subprocess.run([shell, "-c", code], env=environment, capture_output=True, text=True, check=True)
-        return {word.split("\t")[0] for word in done.stdout.splitlines()}
-
-    found = completed("tmchho re")
-    assert {"register", "report"} <= found
-    assert "evaluate" not in found
-    assert {"--prior", "--prior-sigma-deg"} <= completed("tmchho register --pri")
