@@ -38,7 +38,7 @@ package: $(BIN)/maturin ## The crate, the wheel and the source archive, the latt
 	cargo package --locked --quiet
 	rm -rf out/dist
 	$(BIN)/maturin build --release --locked --quiet --out out/dist
-	$(BIN)/maturin sdist --quiet --out out/dist
+	$(BIN)/maturin sdist --out out/dist
 	set -e; for archive in out/dist/*; do \
 		$(PYTHON) -m venv --clear out/clean; \
 		out/clean/bin/python -m pip install -q "$$archive[report]"; \
