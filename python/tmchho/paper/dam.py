@@ -274,8 +274,8 @@ def _show_distances(runs: list[Run]) -> Content:
             f"{min(printed_averages):.4f} to {max(printed_averages):.4f} m.",
             f"At the true pose the averages differ from those by at most {excess:.2g} m; all else is in the "
             "surveys.",
-            f"The photogrammetry has {density:.0f} points to the square metre; among points strewn so densely "
-            f"the nearest is {0.5 / density**0.5:.3f} m away on average, whatever the pose.",
+            f"The photogrammetry has {density:.0f} points per square metre; among points strewn so densely "
+            f"the nearest is on average {0.5 / density**0.5:.3f} m away, whatever the pose.",
         ),
         differences=(
             _NOT_THE_DAM,

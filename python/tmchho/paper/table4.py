@@ -179,14 +179,15 @@ def _findings(runs: list[Run]) -> list[str]:
             of_method = chosen(here, method=method)
             right.append(f"{title(method)} {sum(is_right(r)[1] for r in of_method)} of {len(of_method)}")
         found.append(f"With {KIND_NAMES[kind]}, right in the end: {listing(right)}.")
+    of_pairs = [run for run in chosen(runs, kind="pair") if run.job["method"] in PAPER_METHODS]
     below = [
-        f"{model_name(run)}"
-        for run in chosen(runs, kind="pair", method="tmchho")
+        f"{title(run.job['method'])} on {model_name(run)}"
+        for run in of_pairs
         if run.result["rms"] < run.result["true_rms"] and not is_right(run)[0]
     ]
     found.append(
-        "Two scans, TMCHHO: wrong poses whose RMS is lower than that of the true pose: "
-        f"{len(below)}{' (' + listing(list(dict.fromkeys(below))) + ')' if below else ''}."
+        f"With two scans {len(below)} of {len(of_pairs)} searches ended at a wrong pose and a lower RMS "
+        f"than at the true one{': ' + listing(list(dict.fromkeys(below))) if below else ''}."
     )
     return found
 
