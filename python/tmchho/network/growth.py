@@ -6,8 +6,9 @@
    second would otherwise be taken for the first by all neighbours, and agree with all of them.
 3. Stations that are not sure ask the votes of the descriptors, look briefly at those named, and try the best;
    each round goes further down their lists.
-4. Stations that a block should hold, but does not alone, are sought there thoroughly, all their places
-   compared. One with two places is given up, whoever took it for his neighbour.
+4. Stations that a block should hold, but does not alone, or whose links contradict each other, are sought
+   there thoroughly, all their places compared. One with two places is given up, whoever took it for his
+   neighbour.
 5. What is still not placed is searched as thoroughly as a pair alone would be.
 
 So the number of registrations follows the links that exist, not the pairs that could be thought of.
@@ -227,8 +228,9 @@ class Growth:
         kept = [links[number] for number in checked.kept]
         groups = []
         for group in components(kept, len(self.material)):
-            start = best_linked(kept, group, self.material.free_scale)
-            groups.append(placed_by(kept, range(len(kept)), len(self.material), start))
+            free_scale = self.material.free_scale
+            start = best_linked(kept, group, free_scale)
+            groups.append(placed_by(kept, range(len(kept)), len(self.material), start, free_scale))
         return groups
 
     def spread(self) -> None:
@@ -279,11 +281,13 @@ class Growth:
             (group,) = (group for group in self.groups() if block in group)
             in_block = {station: inverse(group[block]) @ pose for station, pose in group.items()}
             lost = set(self.lost())
+            links, checked = self.checked()
+            contradicted = checked.contradicted(links)
             wanted = [
                 ordered(station, block)
                 for station in range(len(material))
                 if station not in material.blocks
-                and not self._is_held(station, block)
+                and (station in contradicted or not self._is_held(station, block))
                 and station not in self.two_places
                 and (station in lost or not turn)
             ]
@@ -307,6 +311,11 @@ class Growth:
         material = self.material
         (station,) = set(pair) - {block}
         seen = sorted((set(in_block) & sure) - {block, station})
+        places = [in_block[station]] if station in in_block else []
+        alone = self.results.get(pair, {"pose": None})["pose"]
+        if alone is not None:
+            pose = np.array(alone)
+            places.append(pose if self.direction(pair) == (station, block) else inverse(pose))
         rounds = self.config["coarse"]["rotations_per_round"]
         quick = {**self.config["coarse"], "rotations_per_round": rounds[:1]}
         prior = self._prior(np.eye(4))
@@ -321,7 +330,7 @@ class Growth:
                 "coarse": quick,
                 "known": {**self.config["known"], "prior": prior},
             },
-            "places": [in_block[station].tolist()] if station in in_block else [],
+            "places": [pose.tolist() for pose in places],
             "seen": [{"cloud": material.described[k], "pose": in_block[k].tolist()} for k in seen],
             "voxel_size": material.bodies.voxel_size,
         }
@@ -338,7 +347,7 @@ class Growth:
                     "overlap_of_target": found["overlap_of_source"],
                 }
                 found = {**found, **shares, "pose": back, "covariance": None, "middle": None}
-            self.results[pair] = {**found, "full": True}
+            self.results[pair] = {**found, "full": True, "is_only_place": True}
         elif found["verdict"] == "review" and place is not None:
             self.two_places[station] = found["reasons"][0]
 
