@@ -54,8 +54,9 @@ def main() -> None:
     parser.add_argument("--no-piers", action="store_true")
     arguments = parser.parse_args()
     print(
-        "| seed | clouds | right | worst by voxel | not placed | pairs possible | screened | registered | kept"
-        " | wrong links accepted alone | of them kept | right links left out | seconds | of processors | GB |"
+        "| seed | clouds | right | worst by voxel | not placed | pairs possible | screened | registered"
+        " | kept | wrong links accepted alone | of them kept | right links left out | seconds | of processors"
+        " | GB |"
     )
     print("|" + "---|" * 15, flush=True)
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
@@ -91,7 +92,7 @@ def main() -> None:
 
 
 class Misled(InProcess):
-    """Gives out some pairs that the search has refused as accepted, with a pose that is far from the truth."""
+    """Gives out some pairs that the search refused as accepted, with a pose that is far from the truth."""
 
     def __init__(self, n_workers: int, n_wrong: int, seed: int) -> None:
         super().__init__(n_workers)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from tmchho.network.descriptors import VOXEL_BY_UNIT
 from tmchho.network.engine import Engine, Item
 from tmchho.network.links import Link, link_of, register_link
-from tmchho.network.loops import Bodies, Checked, agreeing_links, check_loops, components, placed_by
+from tmchho.network.loops import Bodies, Checked, check_loops, components, confirming_links, placed_by
 from tmchho.network.poses import inverse
 from tmchho.network.propose import Pair, overlapping_pairs, screen_pair, voted_pairs
 from tmchho.network.seat import seat_station
@@ -103,6 +103,8 @@ class Growth:
     screened: dict[Pair, Item] = field(default_factory=dict)
     # Stations that fit at two places alike, and what is said of them.
     two_places: dict[int, str] = field(default_factory=dict)
+    # What `checked` returns, until there are other results.
+    _checked: tuple[list[Link], Checked] | None = field(default=None, init=False)
 
     def grow(self, near: Iterable[Pair], known: NDArray[np.bool_]) -> None:
         """Register what is worth it until every station is placed or nothing is left to try.
@@ -182,6 +184,7 @@ class Growth:
         found = self.engine.run("links", register_link, items)
         for pair, result in zip(wanted, found, strict=True):
             self.results[pair] = {**result, "full": not quick}
+        self._checked = None
 
     def direction(self, pair: Pair) -> Pair:
         """Return source and target of a pair: a cloud whose scale is free moves, otherwise the first does."""
@@ -211,16 +214,21 @@ class Growth:
 
     def checked(self) -> tuple[list[Link], Checked]:
         """Return the links that are accepted, or confirmed by each other, and what their loops say."""
-        bodies, n = self.material.bodies, len(self.material)
-        links = self.links()
-        checked = check_loops(links, n, bodies)
-        doubtful = [
-            link for link in self.links(("review", "rejected")) if link.ambiguity_ratio >= MIN_DOUBTFUL_RATIO
-        ]
-        agreeing = agreeing_links([links[k] for k in checked.kept], doubtful, n, bodies)
-        if not agreeing:
-            return links, checked
-        return [*links, *agreeing], check_loops([*links, *agreeing], n, bodies)
+        if self._checked is None:
+            bodies, n = self.material.bodies, len(self.material)
+            links = self.links()
+            checked = check_loops(links, n, bodies)
+            doubtful = [
+                link
+                for link in self.links(("review", "rejected"))
+                if link.ambiguity_ratio >= MIN_DOUBTFUL_RATIO
+            ]
+            confirming = confirming_links(links, checked, doubtful, n, bodies)
+            if confirming:
+                links = [*links, *confirming]
+                checked = check_loops(links, n, bodies)
+            self._checked = links, checked
+        return self._checked
 
     def groups(self) -> list[dict[int, Array]]:
         """Return the poses of each group of stations that links tie together, each in a frame of its own."""
@@ -339,6 +347,7 @@ class Growth:
         """Believe what was found in the block, or give a station up that was placed and fits twice."""
         if found["pose"] is None:
             return
+        self._checked = None
         if found["verdict"] == "accepted":
             if self.direction(pair) != (station, block):
                 back = inverse(np.array(found["pose"])).tolist()

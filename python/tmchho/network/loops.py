@@ -83,7 +83,7 @@ class Checked:
     loops: tuple[Loop, ...]
 
     def contradicted(self, links: Sequence[Link]) -> set[int]:
-        """Return the stations with a link left out, and none in a loop that closes: which is the right one?"""
+        """Return the stations of which a link was left out and none is in a loop that closes."""
         ends = {number: {link.source, link.target} for number, link in enumerate(links)}
         found = {station for number in self.left_out for station in ends[number]}
         for number in self.kept:
@@ -178,6 +178,39 @@ def check_loops(links: Sequence[Link], n_stations: int, bodies: Bodies) -> Check
             count(loop)
     loops = (*closing, *left_out.values())
     return Checked(tuple(remaining), left_out, tuple(n_loops), tuple(n_open), loops)
+
+
+def confirming_links(
+    links: Sequence[Link], checked: Checked, doubtful: Sequence[Link], n_stations: int, bodies: Bodies
+) -> list[Link]:
+    """Find links that are doubtful alone but agree with each other, where no loop has spoken yet.
+
+    Parameters
+    ----------
+    links : sequence of Link
+        Those that `checked` is about.
+    checked : Checked
+        What their loops say.
+    doubtful : sequence of Link
+        Each of a pair of its own.
+    n_stations, bodies
+        See `check_loops`.
+
+    Returns
+    -------
+    list of Link
+        As `agreeing_links` finds them between groups that nothing ties together yet, and between the two
+        groups that hang together by one link alone: they close loops with it, or tell that it is wrong.
+    """
+    kept = [links[number] for number in checked.kept]
+    found = agreeing_links(kept, doubtful, n_stations, bodies)
+    for number in checked.kept:
+        if not checked.n_loops[number]:
+            rest = [link for link in kept if link is not links[number]]
+            found += [
+                link for link in agreeing_links(rest, doubtful, n_stations, bodies) if link not in found
+            ]
+    return found
 
 
 def agreeing_links(
