@@ -4,7 +4,7 @@ Why: two equal piers are registered with each other perfectly, and nothing in th
 two. The loops tell. A spanning tree of the links that most short loops confirm places the stations; every
 other link closes a loop of the tree. While loops stay open, the link that most open and fewest closed ones
 have in common is left out, the least certain of equals, and the tree is grown again. A link for which every
-other place was compared is more certain than one that only fits well.
+other place was compared is believed before all others: who looks like a pier agrees with all its neighbours.
 
 Sources: the idea of checking cycles is Zach, Klopschitz & Pollefeys (2010), "Disambiguating visual relations
 using loop constraints"; the search is our own, without random numbers.
@@ -141,7 +141,7 @@ def check_loops(links: Sequence[Link], n_stations: int, bodies: Bodies) -> Check
         for number in loop.links:
             support[number] += 1 if loop.is_closed else -1
     certainty = [
-        (support[number], link.is_only_place, min(link.ambiguity_ratio, MAX_RATIO) * link.overlap, -number)
+        (link.is_only_place, support[number], min(link.ambiguity_ratio, MAX_RATIO) * link.overlap, -number)
         for number, link in enumerate(links)
     ]
     remaining = list(range(len(links)))
@@ -164,7 +164,9 @@ def check_loops(links: Sequence[Link], n_stations: int, bodies: Bodies) -> Check
                     best = proof.get(number)
                     if best is None or len(loop.links) < len(best.links):
                         proof[number] = loop
-        worst = max(proof, key=lambda k: (blame[k], [-part for part in certainty[k]]))
+        worst = max(
+            proof, key=lambda k: (not links[k].is_only_place, blame[k], [-part for part in certainty[k]])
+        )
         left_out[worst] = proof[worst]
         remaining.remove(worst)
     loops = (*closing, *left_out.values())
