@@ -62,7 +62,7 @@ def main() -> None:
         if "pairs" in wanted:
             same &= measure_pairs(paths, arguments.pairs, folder)
         if "worker" in wanted:
-            same &= lose_a_worker(paths, folder)
+            same &= lose_a_worker(windowed(folder), folder)
         if "resume" in wanted:
             same &= kill_and_resume(windowed(folder), arguments.kills, folder)
         if "overhead" in wanted:
@@ -87,7 +87,7 @@ def windowed(folder: Path) -> list[Path]:
     clouds, _ = windows(4, 3000, np.random.default_rng(1))
     paths = [folder / f"window-{number}.laz" for number in range(len(clouds))]
     for cloud, path in zip(clouds, paths, strict=True):
-        tmchho.write(tmchho.PointCloud(cloud), path)
+        tmchho.write(tmchho.PointCloud(cloud), path, overwrite=True)
     return paths
 
 

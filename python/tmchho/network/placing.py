@@ -294,5 +294,5 @@ def _judged(
 def _open_words(loop: Loop) -> str:
     return (
         f"the loop of {len(loop.links)} links through it misses by {loop.misclosure_m:.3g} m"
-        f" and {np.degrees(loop.misclosure_rad):.2g}°, where {loop.tolerance_m:.2g} m is allowed"
+        f" and {np.degrees(loop.misclosure_rad):.3g}°, where {loop.tolerance_m:.2g} m is allowed"
     )
