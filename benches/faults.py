@@ -1,10 +1,12 @@
-"""Faults put into registrations on purpose: kills, interrupts, full disks, little memory, two runs at once.
+"""Faults put into registrations on purpose: kills, interrupts, full disks, little memory, inputs that change.
 
-    python benches/faults.py --folder out/faults --kills 60 --interrupts 60
+    python benches/faults.py --folder out/faults --kills 60 --interrupts 60 --changes 40
 
 Each registration is a process of its own. After a fault there must be no half of a result under a name of a
 result, inputs must have their bytes, and a rerun must give what an undisturbed run gives. The first
-violation ends the script with exit code 1.
+violation ends the script with exit code 1. Small file systems, which root may mount, are filled up for good;
+others get a limit on the size of files. To be started in the foreground: what a shell starts in the
+background may ignore interrupts.
 """
 
 from __future__ import annotations
@@ -14,11 +16,16 @@ import hashlib
 import json
 import os
 import random
+import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +35,18 @@ from tmchho.simulate import make_pair
 
 PATIENCE_S = 300
 STOPS_WITHIN_S = 1.0
+# What a shell calls 130 and 143 is a death by the signal where it came before the command took over.
+ENDS = {
+    signal.SIGINT: {130: "interrupted", -signal.SIGINT: "died of it while loading"},
+    signal.SIGTERM: {130: "interrupted", -signal.SIGTERM: "died of it while loading"},
+}
+# Runs the command on files in parts, however small they are.
+IN_PARTS = (
+    "import sys; from tmchho.streams import memory; memory._BYTES_PER_POINT = 10**6; "
+    "from tmchho.cli import main; main(sys.argv[1:])"
+)
+# Root may write everywhere, but for a right that can be given up.
+AS_A_USER = ("setpriv", "--bounding-set=-dac_override") if os.geteuid() == 0 else ()
 
 
 class Faults:
@@ -55,15 +74,18 @@ class Faults:
         assert done.returncode == 0, done.stderr
         self.wanted = self.result(folder / "undisturbed")
 
-    def command(self, out: Path, *more: str) -> list[str]:
+    def command(self, out: Path, *more: str, in_parts: bool = False) -> list[str]:
         """Return the words that register the two files."""
-        words = [sys.executable, "-m", "tmchho", "register", *map(str, self.inputs), "-o", str(out)]
+        program = ["-c", IN_PARTS] if in_parts else ["-m", "tmchho"]
+        words = [sys.executable, *program, "register", *map(str, self.inputs), "-o", str(out)]
         return [*words, "--no-report", "--quiet", *self.options, *more]
 
-    def run(self, out: Path, *more: str, before: Any = None) -> subprocess.CompletedProcess[str]:
-        """Register; `before` runs in the child first."""
+    def run(
+        self, out: Path, *more: str, before: Any = None, within: tuple[str, ...] = ()
+    ) -> subprocess.CompletedProcess[str]:
+        """Register; `before` runs in the child first, `within` are words in front of the command."""
         return subprocess.run(
-            self.command(out, *more),
+            [*within, *self.command(out, *more)],
             capture_output=True,
             text=True,
             timeout=PATIENCE_S,
@@ -123,37 +145,38 @@ def without_seconds(value: Any) -> Any:
 
 
 def kills(faults: Faults, n: int, rng: random.Random) -> str:
-    """Kill runs at random moments, each followed by a look and now and then by a rerun."""
+    """Kill runs at random moments, each followed by a look and, but for every fifth, a rerun."""
     n_unfinished = 0
     for number in range(n):
         out = faults.folder / f"killed{number % 4}"
         code, _ = faults.disturbed(out, signal.SIGKILL, rng.uniform(0, 1.05 * faults.seconds))
         n_unfinished += code != 0
         faults.check(out)
-        if number % 4 == 3:
+        if number % 5:
             faults.check_rerun(out)
     return f"{n} kills, {n_unfinished} before the end: no half of a result, reruns as undisturbed"
 
 
 def interrupts(faults: Faults, n: int, rng: random.Random, within_s: float | None = STOPS_WITHIN_S) -> str:
-    """Interrupt runs at random moments: they stop soon, say 130 and leave nothing."""
-    longest, n_stopped = 0.0, 0
-    starting_s = 0.15 * faults.seconds  # before, the interpreter is loading, and Python itself answers
-    for number in range(n):
-        out = faults.folder / f"interrupted{number}"
-        code, seconds = faults.disturbed(out, signal.SIGINT, rng.uniform(starting_s, faults.seconds))
-        assert code in (0, 130, 1, -signal.SIGINT), code
+    """Interrupt runs at random moments, every third politely (SIGTERM): they stop soon and leave nothing."""
+    longest, ends = 0.0, Counter[str]()
+    for index in range(n):
+        number = signal.SIGTERM if index % 3 == 2 else signal.SIGINT
+        out = faults.folder / f"interrupted{index}"
+        code, seconds = faults.disturbed(out, number, rng.uniform(0, faults.seconds))
+        assert code == 0 or code in ENDS[number], code
         if code != 0:
-            n_stopped += 1
+            ends[ENDS[number][code]] += 1
             longest = max(longest, seconds)
             assert not out.exists(), sorted(out.iterdir())
         faults.check(out)
     assert within_s is None or longest < within_s, f"one took {longest:.2f} s"
-    return f"{n} interrupts, {n_stopped} before the end: nothing left, the longest took {longest:.2f} s"
+    told = ", ".join(f"{count} {end}" for end, count in sorted(ends.items()))
+    return f"{n} interrupts, {told}: nothing left, the longest took {longest:.2f} s"
 
 
 def full_disks(faults: Faults) -> str:
-    """Let files grow to some size only: exit 5, one sentence, nothing left."""
+    """Let the disk be full at some size: exit 5, one sentence, nothing left."""
     for n_bytes in (1, 1_000, 50_000, 200_000):
         out = faults.folder / f"full{n_bytes}"
 
@@ -161,17 +184,113 @@ def full_disks(faults: Faults) -> str:
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, n_bytes))
 
-        done = faults.run(out, before=limited)
-        assert done.returncode == 5, (done.returncode, done.stderr)
-        assert "Traceback" not in done.stderr
+        assert_not_written(faults.run(out, before=limited), "File too large")
         assert not out.exists()
-    return "full disks: exit 5, nothing left"
+    n_mounted = 0
+    for kilobytes in (8, 64, 200, 500):
+        with mounted(faults.folder / "disk", f"size={kilobytes}k") as disk:
+            if disk is not None:
+                n_mounted += 1
+                assert_not_written(faults.run(disk / "out"), "No space left on device")
+                assert not list(disk.iterdir())
+    return f"full disks, 4 by a limit and {n_mounted} by a small file system: exit 5, nothing left"
+
+
+def read_only(faults: Faults) -> str:
+    """Take the right to write away, of the folder and of a whole file system."""
+    folder = faults.folder / "kept"
+    folder.mkdir(exist_ok=True)
+    folder.chmod(0o500)
+    n_tried = 0
+    if not AS_A_USER or shutil.which(AS_A_USER[0]):
+        n_tried += 1
+        for out in (folder, folder / "out"):
+            assert_not_written(faults.run(out, within=AS_A_USER), "Permission denied")
+    with mounted(faults.folder / "disk", "ro") as disk:
+        if disk is not None:
+            n_tried += 1
+            assert_not_written(faults.run(disk / "out"), "Read-only file system")
+    assert not list(folder.iterdir())
+    return f"{n_tried} of 2 kinds of read-only folders: exit 5, nothing left"
+
+
+def assert_not_written(done: subprocess.CompletedProcess[str], words: str) -> None:
+    assert done.returncode == 5, (done.returncode, done.stderr)
+    assert "Traceback" not in done.stderr
+    assert words in done.stderr, done.stderr
+
+
+@contextmanager
+def mounted(folder: Path, options: str) -> Iterator[Path | None]:
+    """Lend a file system in memory with these options; None where that is not allowed."""
+    folder.mkdir(exist_ok=True)
+    command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
+    is_mounted = (
+        shutil.which("mount") is not None
+        and subprocess.run(command, capture_output=True, check=False).returncode == 0
+    )
+    try:
+        yield folder if is_mounted else None
+    finally:
+        if is_mounted:
+            subprocess.run(["umount", str(folder)], check=True)
+
+
+def changes(faults: Faults, n: int, rng: random.Random) -> str:
+    """Cut off, damage or replace an input at random moments, in whole files and in parts."""
+    codes = Counter[int]()
+    for number in range(n):
+        out, path = faults.folder / f"changed{number}", faults.inputs[number % 2]
+        kept = path.read_bytes()
+        in_parts = number % 4 > 1
+        process = subprocess.Popen(
+            faults.command(out, in_parts=in_parts),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        time.sleep(rng.uniform(0.1, 1.0) * faults.seconds)
+        how = rng.choice(("cut", "damage", "replace", "remove"))
+        change(path, kept, how, rng)
+        told = process.communicate(timeout=PATIENCE_S)[1]
+        path.write_bytes(kept)
+        codes[process.returncode] += 1
+        # It was read before, or it is refused; a replaced file may also have been read whole.
+        assert process.returncode in (0, 3), (how, in_parts, process.returncode, told)
+        assert "Traceback" not in told, told
+        if process.returncode == 0:
+            # Of the file as it was; one that was changed before it was opened has another checksum.
+            side, document = ("source", "target")[number % 2], faults.result(out)
+            is_of_ours = document["inputs"][side]["sha256"] == faults.checksums[number % 2]
+            assert in_parts or not is_of_ours or document == faults.wanted
+        else:
+            assert path.name in told, told
+            assert not out.exists(), sorted(out.iterdir())
+    told = ", ".join(f"{count} ended with {code}" for code, count in sorted(codes.items()))
+    return f"{n} inputs changed while a run was on: {told}; nothing of a changed input was written"
+
+
+def change(path: Path, kept: bytes, how: str, rng: random.Random) -> None:
+    """Do to a file what another program may do to it."""
+    at = rng.randrange(len(kept))
+    if how == "cut":
+        os.truncate(path, at)
+    elif how == "damage":
+        with path.open("r+b") as stream:
+            stream.seek(at)
+            stream.write(rng.randbytes(200))
+    elif how == "replace":
+        other = path.with_name("other.laz")
+        other.write_bytes(kept[:at])
+        os.replace(other, path)
+    else:
+        path.unlink()
 
 
 def little_memory(faults: Faults) -> str:
     """Limit the address space: a run ends well or with exit 6 and a figure, never otherwise."""
     codes = []
-    for megabytes in (230, 260, 300, 400, 800):
+    for megabytes in (230, 260, 300, 350, 400, 500, 800):
         out = faults.folder / f"little{megabytes}"
 
         def limited(n_bytes: int = megabytes * 1_000_000) -> None:
@@ -180,6 +299,10 @@ def little_memory(faults: Faults) -> str:
         done = faults.run(out, before=limited)
         codes.append(done.returncode)
         assert done.returncode in (0, 6), (megabytes, done.returncode, done.stderr)
+        if done.returncode:
+            assert re.search(r"(need|takes) about [\d.]+ [MG]B", done.stderr), done.stderr
+            assert re.search(r"only [\d.]+ [MG]B more", done.stderr), done.stderr
+            assert not out.exists()
         faults.check(out)
     return f"little memory: exit codes {codes}"
 
@@ -208,6 +331,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, required=True, help="for the files and the results")
     parser.add_argument("--kills", type=int, default=60)
     parser.add_argument("--interrupts", type=int, default=60)
+    parser.add_argument("--changes", type=int, default=40, help="how often an input changes meanwhile")
     parser.add_argument("--pairs", type=int, default=5, help="how often two runs start at once")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -216,7 +340,9 @@ def main() -> None:
     print(f"an undisturbed run takes {faults.seconds:.1f} s; load {os.getloadavg()[0]:.1f}", flush=True)
     print(kills(faults, arguments.kills, rng), flush=True)
     print(interrupts(faults, arguments.interrupts, rng), flush=True)
+    print(changes(faults, arguments.changes, rng), flush=True)
     print(full_disks(faults), flush=True)
+    print(read_only(faults), flush=True)
     print(little_memory(faults), flush=True)
     print(two_at_once(faults, arguments.pairs), flush=True)
 

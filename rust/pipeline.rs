@@ -140,8 +140,14 @@ fn route(
             break;
         }
     }
-    let (mut prepared, found) = best.ok_or_else(|| Error::NoSolution {
-        reason: "at no scale did any point of one cloud find a partner in the other".into(),
+    let (mut prepared, found) = best.ok_or_else(|| {
+        let [least, most] = config.scale_bounds;
+        Error::NoSolution {
+            reason: format!(
+                "at no scale between {least} and {most} did any point of one cloud find a partner in \
+                 the other: widen scale_bounds if the unit of the source is another one"
+            ),
+        }
     })?;
     let mut coarse_pose = found.candidates[0].target_from_source;
     let candidates: Vec<(Similarity, f64)> = found

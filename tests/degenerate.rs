@@ -152,10 +152,29 @@ fn voxels_that_make_no_grid_are_refused() {
 }
 
 #[test]
-fn one_voxel_over_all_is_no_cloud() {
+fn a_voxel_larger_than_a_cloud_is_refused_by_name() {
+    let field = Scene::Field.survey(1000, 0.03, 4);
+    let small: Vec<Point> = field.iter().map(|p| p.map(|v| 0.1 * v)).collect();
+    let mut config = Config::default();
+    config.voxel.voxel_size_m = Some(40.0);
+    for mode in [Mode::Robust, Mode::Paper] {
+        config.mode = mode;
+        for (source, target) in [(&small, &field), (&field, &small)] {
+            let error = run(source, target, &config).unwrap_err();
+            assert!(
+                matches!(&error, Error::InvalidArgument { name, problem }
+                    if name == "voxel.voxel_size_m" && problem.contains("extent")),
+                "{error}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_few_voxels_over_all_are_no_cloud() {
     let field = Scene::Field.survey(1000, 0.03, 4);
     let mut config = Config::default();
-    config.voxel.voxel_size_m = Some(1e6);
+    config.voxel.voxel_size_m = Some(90.0);
     for mode in [Mode::Robust, Mode::Paper] {
         config.mode = mode;
         match run(&field, &field, &config) {

@@ -1,5 +1,5 @@
 //! What must not matter to a pose does not: units, the place on Earth, the order of points, the
-//! pose that the files had.
+//! pose that the files had, which cloud is moved, points that are there twice.
 
 #![allow(clippy::unwrap_used)]
 
@@ -104,6 +104,42 @@ proptest! {
             let (there, registration) = found_at(&pair, &source, &target);
             let off_m = there.error_m(registration.target_from_source);
             prop_assert!(off_m < 0.5 * registration.voxel_size_m, "{off_m}");
+        }
+    }
+
+    #[test]
+    fn clouds_that_change_places_give_the_inverse(pair in scenes()) {
+        let forth = found(&pair);
+        let back = found(&Pair {
+            source: pair.target.clone(),
+            target: pair.source.clone(),
+            target_from_source: pair.target_from_source.inverse(),
+        });
+        let round = back.target_from_source * forth.target_from_source;
+        let off_m = farthest_m(&pair.source, round, Rigid::identity());
+        prop_assert!(off_m < 0.5 * forth.voxel_size_m, "{off_m}");
+        prop_assert_eq!(back.verdict, forth.verdict);
+    }
+
+    #[test]
+    fn points_that_are_there_again_do_not_matter(pair in scenes(), seed in 0..1000_u64) {
+        let once = found(&pair);
+        let again = |points: &[Point], n: usize, stream: u64| {
+            let which = Stream::new(seed, "again", stream).sample_indices(points.len(), n);
+            let copies: Vec<Point> = which.into_iter().map(|i| points[i]).collect();
+            [points, &copies[..], &copies[..]].concat()
+        };
+        for share in [3, 1] {
+            let repeated = Pair {
+                source: again(&pair.source, pair.source.len() / share, 0),
+                target: again(&pair.target, pair.target.len() / share, 1),
+                ..pair.clone()
+            };
+            let more = found(&repeated);
+            let apart_m =
+                farthest_m(&pair.source, more.target_from_source, once.target_from_source);
+            prop_assert!(apart_m < 0.5 * once.voxel_size_m, "{apart_m}");
+            prop_assert_eq!(more.verdict, once.verdict);
         }
     }
 }

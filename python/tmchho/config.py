@@ -8,9 +8,10 @@ keeps the default of the core; `default_config` tells what that is.
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypeVar, get_args
@@ -427,7 +428,23 @@ def _to_json(settings: Mapping[str, Any]) -> str:
     try:
         return json.dumps(settings, default=plain, allow_nan=False)
     except (TypeError, ValueError) as error:
+        for place, value in _without_value(settings):
+            raise InvalidArgumentError(f"{place} must be a finite number, got {value}") from error
         raise InvalidArgumentError(f"the configuration is not valid: {error}") from error
+
+
+def _without_value(settings: Any, place: str = "") -> Iterator[tuple[str, float]]:
+    """Give the path of every setting that is NaN or infinite."""
+    if is_dataclass(settings) and not isinstance(settings, type):
+        settings = _given(settings)
+    if isinstance(settings, Mapping):
+        for key, value in settings.items():
+            yield from _without_value(value, f"{place}.{key}" if place else str(key))
+    elif isinstance(settings, (list, tuple)):
+        for value in settings:
+            yield from _without_value(value, place)
+    elif isinstance(settings, (float, np.floating)) and not math.isfinite(settings):
+        yield place, float(settings)
 
 
 def _given(options: Any) -> dict[str, Any]:

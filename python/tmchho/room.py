@@ -5,22 +5,27 @@ Why before: where the system refuses memory in the middle of a computation, the 
 
 from __future__ import annotations
 
+import ctypes
 import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from tmchho.errors import BudgetError
 
-_CONFINED = Path("/sys/fs/cgroup/memory.max")
+_GROUPS = Path("/proc/self/cgroup")
+_GROUPS_ROOT = Path("/sys/fs/cgroup")
 _STATUS = Path("/proc/self/status")
 # Measured: registering, evaluating or fusing two clouds that are in memory takes 250 to 400 bytes a point.
 _BYTES_PER_POINT = 400
+_NO_LIMIT = 2**60  # what the first version of groups writes where there is none is larger
 _LEAST = 60_000_000  # threads, whatever they work on
 _LEAST_FOR_PARTS = 600_000_000
 
 
 def machine_memory() -> int:
     """Return the bytes of memory of the machine, or of the group that this process is confined to."""
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    total = _physical_memory()
     confined = _confined()
     return total if confined is None else min(total, confined)
 
@@ -77,6 +82,14 @@ def in_words(n_bytes: float) -> str:
     return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.0f} MB"
 
 
+def _physical_memory() -> int:
+    if sys.platform == "win32":
+        status = (ctypes.c_ulonglong * 8)(64)  # MEMORYSTATUSEX: its own size, then the bytes of the machine
+        ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status))
+        return status[1]
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
 def _address_limit() -> int | None:
     try:
         import resource
@@ -87,11 +100,39 @@ def _address_limit() -> int | None:
 
 
 def _confined() -> int | None:
+    """Return the smallest limit of the groups that this process is in, or None without any."""
+    limits = []
+    for folder, name in _groups():
+        try:
+            text = (folder / name).read_text(encoding="ascii").strip()
+        except OSError:
+            continue  # a container sees the last part of the path, or its root only
+        if text.isdigit() and int(text) < _NO_LIMIT:
+            limits.append(int(text))
+    return min(limits) if limits else None
+
+
+def _groups() -> Iterator[tuple[Path, str]]:
+    """Give the folder of every group that limits this process, and the file of the limit in it.
+
+    Each line of the list is ``number:controllers:path``, without controllers in the second version of groups.
+    A limit holds for all groups below it.
+    """
     try:
-        text = _CONFINED.read_text(encoding="ascii").strip()
+        lines = _GROUPS.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
-        return None
-    return int(text) if text.isdigit() else None
+        return
+    for line in lines:
+        _, _, rest = line.partition(":")
+        controllers, _, path = rest.partition(":")
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root, name = _GROUPS_ROOT, "memory.max"
+        if controllers:
+            root, name = root / "memory", "memory.limit_in_bytes"
+        parts = [part for part in path.split("/") if part not in ("", "..")]
+        for n_parts in range(len(parts) + 1):
+            yield root.joinpath(*parts[:n_parts]), name
 
 
 def _kilobytes(key: str) -> int:

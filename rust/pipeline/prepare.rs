@@ -45,10 +45,17 @@ impl Prepared {
             }
         };
         let unit_m = extent_of_smaller(source, target)?;
-        let voxel_size_m = config
-            .voxel
-            .voxel_size_m
-            .unwrap_or(unit_m / VOXELS_PER_EXTENT);
+        let voxel_size_m = match config.voxel.voxel_size_m {
+            Some(asked_m) if asked_m > unit_m => {
+                return Err(Error::argument(
+                    "voxel.voxel_size_m",
+                    format!(
+                        "must not exceed the extent of the smaller cloud, {unit_m:.3e}, got {asked_m}"
+                    ),
+                ));
+            }
+            asked_m => asked_m.unwrap_or(unit_m / VOXELS_PER_EXTENT),
+        };
         let thinned = |cloud: &Cloud| -> Result<(Cloud, SurfaceCloud)> {
             let voxels = downsample(cloud, voxel_size_m, progress)?.cloud;
             let surfaces = SurfaceCloud::new(&voxels, config.seed, progress)?;

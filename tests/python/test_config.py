@@ -64,7 +64,7 @@ def test_an_unknown_key_is_refused_at_every_level(place: tuple[str, ...]) -> Non
         ({"verdict": {"accept_inlier_share": 2}}, "verdict.accept_inlier_share"),
         ({"fuse": {"hole_radius_m": 0}}, "fuse.hole_radius_m"),
         ({"fuse": {"mode": "join"}}, "join"),
-        ({"voxel": {"voxel_size_m": float("nan")}}, "the configuration"),
+        ({"voxel": {"voxel_size_m": float("nan")}}, "voxel.voxel_size_m must be a finite number"),
         ({"voxel": {"voxel_size_m": {1, 2}}}, "the configuration"),
         ({"voxel": 3}, "the configuration"),
         ({"seed": -1}, "the configuration"),

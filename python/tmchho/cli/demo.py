@@ -23,8 +23,16 @@ UAV, TLS = "uav.laz", "tls.laz"
 # The scanner's points for each of the photogrammetry's, as in the default pair.
 _SCANNER_SHARE = 320 / 420
 
+_EXAMPLES = """\b
+Examples:
+  tmchho demo
+  # in a few seconds, and another site
+  tmchho demo --points 60000 --seed 5 -o out/small
 
-@click.command(short_help="Simulate, register and check a dam site.")
+"""
+
+
+@click.command(short_help="Simulate, register and check a dam site.", epilog=_EXAMPLES)
 @output_option(default=Path("out/demo"), show_default=True)
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of site, pose and search."

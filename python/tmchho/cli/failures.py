@@ -36,6 +36,10 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 class Commands(click.Group):
     """A group of commands that turns every error into its sentence and its exit code."""
 
+    def list_commands(self, context: click.Context) -> list[str]:
+        """Return the names in the order in which they were added, not in that of the alphabet."""
+        return list(self.commands)
+
     def invoke(self, context: click.Context) -> Any:
         """Run the command that was asked for."""
         interrupts = _Interrupts()

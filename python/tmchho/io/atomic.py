@@ -158,7 +158,7 @@ def check_writable_folder(path: StrPath) -> Path:
         If it cannot be created or no file can be made in it.
     """
     folder = Path(path)
-    probe = folder / f".tmp-{os.getpid()}-{secrets.token_hex(4)}"
+    probe = folder / f".probe-{own_mark()}-{secrets.token_hex(4)}"  # swept up if this process is killed
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.touch(exist_ok=False)

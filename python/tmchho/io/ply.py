@@ -10,7 +10,6 @@ Source: G. Turk, "The PLY Polygon File Format" (1994).
 from __future__ import annotations
 
 import logging
-import mmap
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -188,21 +187,24 @@ def _end_of(path: Path, start: int, element: _Element, byte_order: str) -> int:
         (None if count is None else struct.Struct(byte_order + np.dtype(count).char), np.dtype(kind).itemsize)
         for count, kind in element.layout
     ]
-    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    n_file = path.stat().st_size
+    # Read, not mapped: where another program cuts a mapped file short, the system ends the process.
+    with path.open("rb") as stream:
+        stream.seek(start)
         for _ in range(element.count):  # row by row, because each may have another length
             for count, n_bytes in layout:
                 n_values = 1
                 if count is not None:
-                    if start + count.size > len(data):
+                    head = stream.read(count.size)
+                    if len(head) < count.size:
                         raise ReadError(f"is truncated in its element '{element.name}'; copy it again")
-                    (n_values,) = count.unpack_from(data, start)
-                    start += count.size
-                if not 0 <= n_values <= len(data):
+                    (n_values,) = count.unpack(head)
+                if not 0 <= n_values <= n_file:
                     raise ReadError(
                         f"has a list of {n_values} values in its element '{element.name}'; export it again"
                     )
-                start += int(n_values) * n_bytes
-    return start
+                stream.seek(int(n_values) * n_bytes, 1)
+        return stream.tell()
 
 
 def _row_type(element: _Element, byte_order: str) -> np.dtype[np.void]:

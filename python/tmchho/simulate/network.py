@@ -158,7 +158,9 @@ def _spread_places(site: Site, count: int, seed: int) -> list[Array]:
         good &= np.hypot(x - solid.centre[0], y - solid.centre[1]) > solid.radius_m + 1.0
     places = np.column_stack([x, y])[good]
     if len(places) < count:
-        raise InvalidArgumentError(f"n_stations: only {len(places)} level places found, {count} wanted")
+        raise InvalidArgumentError(
+            f"n_stations: only {len(places)} level places found, {count} wanted; ask for fewer"
+        )
     chosen = [0]
     apart = np.linalg.norm(places - places[0], axis=1)
     for _ in range(count - 1):
