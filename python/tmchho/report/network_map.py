@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 _WIDTH = 7.6  # inches: what a page on paper has between its margins
 _MOST_NAMES = 60  # of more, only those that a person must look at are written
 _NAMES_OF_MANY = 12
-_EXPECTED = 3.0  # a normalised residual beyond this is rare where all is well
+_DARKEST = 6.0  # twice the normalised residual beyond which links are rare where all is well
 
 
 def network_map(document: Mapping[str, Any]) -> Chart | None:
@@ -116,7 +116,7 @@ def _draw_links(figure: Any, panel: Axes, document: Mapping[str, Any], places: M
     left_out = [link for link in drawn if not link["kept"] and link["verdict"] == "accepted"]
     # The same colours in every report: one bad link must not make all others look good.
     worst = max((link["normalised_residual"] or 0.0 for link in kept), default=0.0)
-    norm = Normalize(0.0, 2.0 * _EXPECTED, clip=True)
+    norm = Normalize(0.0, _DARKEST, clip=True)
     ramp = colour_map("sequential")
     width = float(np.clip(120 / max(len(kept), 1), 0.8, 2.4))
 
@@ -142,7 +142,7 @@ def _draw_links(figure: Any, panel: Axes, document: Mapping[str, Any], places: M
             aspect=45,
             shrink=0.8,
             pad=0.02,
-            extend="max" if worst > norm.vmax else "neither",
+            extend="max" if worst > _DARKEST else "neither",
         )
         bar.set_label("residual of a link after the adjustment, by the expected one")
         bar.outline.set_linewidth(0.0)
