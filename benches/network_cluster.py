@@ -5,7 +5,7 @@
 PART is one of
     pairs     the same pairs on one thread and on a local cluster of two workers with one thread each
     worker    a network on two workers, one of which is killed (kill -9) in the middle
-    resume    a network that is killed as a whole at random moments, and resumed each time
+    resume    a small network that is killed as a whole at random moments, and resumed each time
     overhead  what a unit of work costs that does nothing: in this process, on a cluster, with the store
     costs     what each step of a network costs a unit, in seconds of a processor
 and all where it is not given. The results must be the same to the byte; the script ends with 1 where they are
@@ -27,6 +27,9 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from network_growth import windows
 
 import tmchho
 from tmchho.config import config_json
@@ -59,9 +62,9 @@ def main() -> None:
         if "pairs" in wanted:
             same &= measure_pairs(paths, arguments.pairs, folder)
         if "worker" in wanted:
-            same &= lose_a_worker(paths, folder)
+            same &= lose_a_worker(windowed(folder), folder)
         if "resume" in wanted:
-            same &= kill_and_resume(paths, arguments.kills, folder)
+            same &= kill_and_resume(windowed(folder), arguments.kills, folder)
         if "overhead" in wanted:
             measure_overhead(folder)
         if "costs" in wanted:
@@ -76,6 +79,15 @@ def simulated(n_stations: int, n_points: int, folder: Path) -> list[Path]:
     paths = [folder / f"{name}.laz" for name in site.names]
     for cloud, path in zip(site.clouds, paths, strict=True):
         tmchho.write(cloud, path)
+    return paths
+
+
+def windowed(folder: Path) -> list[Path]:
+    """Lay down four small windows of one ground, which are one network within seconds."""
+    clouds, _ = windows(4, 3000, np.random.default_rng(1))
+    paths = [folder / f"window-{number}.laz" for number in range(len(clouds))]
+    for cloud, path in zip(clouds, paths, strict=True):
+        tmchho.write(tmchho.PointCloud(cloud), path, overwrite=True)
     return paths
 
 
@@ -186,7 +198,8 @@ def kill_and_resume(paths: list[Path], n_kills: int, folder: Path) -> bool:
 
 
 def run(paths: list[Path], out: Path) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "tmchho", "network", *map(str, paths), "-o", str(out), "--resume", "-q"]
+    command = [sys.executable, "-m", "tmchho", "network", *map(str, paths), "-o", str(out)]
+    command += ["--levelled", "--resume", "-q"]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
 

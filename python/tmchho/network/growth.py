@@ -291,11 +291,18 @@ class Growth:
             lost = set(self.lost())
             links, checked = self.checked()
             contradicted = checked.contradicted(links)
+            contradicted |= {
+                station
+                for number in checked.left_out
+                for station in (links[number].source, links[number].target)
+                if block in (links[number].source, links[number].target)
+            }
             wanted = [
                 ordered(station, block)
                 for station in range(len(material))
                 if station not in material.blocks
                 and (station in contradicted or not self._is_held(station, block))
+                and not self.results.get(ordered(station, block), {}).get("is_only_place")
                 and station not in self.two_places
                 and (station in lost or not turn)
             ]

@@ -4,7 +4,7 @@ Why: two equal piers are registered with each other perfectly, and nothing in th
 two. The loops tell. A spanning tree of the links that most short loops confirm places the stations; every
 other link closes a loop of the tree. While loops stay open, the link that most open and fewest closed ones
 have in common is left out, the least certain of equals, and the tree is grown again. A link for which every
-other place was compared is more certain than one that only fits well.
+other place was compared is believed before all others: who looks like a pier agrees with all its neighbours.
 
 Sources: the idea of checking cycles is Zach, Klopschitz & Pollefeys (2010), "Disambiguating visual relations
 using loop constraints"; the search is our own, without random numbers.
@@ -71,7 +71,8 @@ class Checked:
     left_out : dict of int to Loop
         The others, each with a loop that it keeps open.
     n_loops, n_open : tuple of int
-        For each link, in how many loops it was, and how many of those stayed open.
+        For each link, in how many loops it was, and how many of those stayed open. Loops over a link that
+        was left out count for that link alone.
     loops : tuple of Loop
         Those of a cycle basis of the kept links, and those of the links left out.
     """
@@ -135,18 +136,12 @@ def check_loops(links: Sequence[Link], n_stations: int, bodies: Bodies) -> Check
     Checked
     """
     triangles = _triangles(links, bodies)
-    n_loops, n_open = [0] * len(links), [0] * len(links)
-
-    def count(loop: Loop) -> None:
-        for number in loop.links:
-            n_loops[number] += 1
-            n_open[number] += not loop.is_closed
-
+    support = [0] * len(links)
     for loop in triangles:
-        count(loop)
-    support = [all_ - 2 * open_ for all_, open_ in zip(n_loops, n_open, strict=True)]
+        for number in loop.links:
+            support[number] += 1 if loop.is_closed else -1
     certainty = [
-        (support[number], link.is_only_place, min(link.ambiguity_ratio, MAX_RATIO) * link.overlap, -number)
+        (link.is_only_place, support[number], min(link.ambiguity_ratio, MAX_RATIO) * link.overlap, -number)
         for number, link in enumerate(links)
     ]
     remaining = list(range(len(links)))
@@ -169,14 +164,19 @@ def check_loops(links: Sequence[Link], n_stations: int, bodies: Bodies) -> Check
                     best = proof.get(number)
                     if best is None or len(loop.links) < len(best.links):
                         proof[number] = loop
-        worst = max(proof, key=lambda k: (blame[k], [-part for part in certainty[k]]))
+        worst = max(
+            proof, key=lambda k: (not links[k].is_only_place, blame[k], [-part for part in certainty[k]])
+        )
         left_out[worst] = proof[worst]
         remaining.remove(worst)
-    seen = {frozenset(loop.links) for loop in triangles}
-    for loop in [*closing, *left_out.values()]:
-        if frozenset(loop.links) not in seen:
-            count(loop)
     loops = (*closing, *left_out.values())
+    n_loops, n_open = [0] * len(links), [0] * len(links)
+    for loop in {frozenset(loop.links): loop for loop in (*loops, *triangles)}.values():
+        wrong = left_out.keys() & set(loop.links)
+        # A loop that a link left out keeps open says nothing against the others.
+        for number in wrong or loop.links:
+            n_loops[number] += 1
+            n_open[number] += not loop.is_closed
     return Checked(tuple(remaining), left_out, tuple(n_loops), tuple(n_open), loops)
 
 

@@ -141,7 +141,7 @@ def place(growth: Growth, frame: Frame) -> NetworkPlaces:
         if worst is None:
             break
         number, away = worst
-        why[number] = f"its pose lies {away:.3g} from what all other links say together"
+        why[number] = f"its pose lies {away:.3g} m from what all other links say together"
         del kept[number]
     believed_pairs = {ordered(link.source, link.target) for link in accepted}
     doubtful = [
@@ -293,6 +293,6 @@ def _judged(
 
 def _open_words(loop: Loop) -> str:
     return (
-        f"the loop of {len(loop.links)} links through it misses by {loop.misclosure_m:.3g}"
-        f" and {np.degrees(loop.misclosure_rad):.2g}°, where {loop.tolerance_m:.2g} is allowed"
+        f"the loop of {len(loop.links)} links through it misses by {loop.misclosure_m:.3g} m"
+        f" and {np.degrees(loop.misclosure_rad):.3g}°, where {loop.tolerance_m:.2g} m is allowed"
     )

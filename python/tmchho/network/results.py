@@ -79,7 +79,8 @@ class NetworkLink(ReadOnlyArrays):
     overlap_of_source, overlap_of_target, rms, strength, ambiguity_ratio : float
         See `Registration`.
     n_loops, n_open_loops : int
-        Loops through it that were looked at, and those of them that do not close.
+        Loops through it that were looked at, and those of them that do not close. Loops over a link that was
+        left out count for that link alone.
     residual_m : float or None
         How far its pose lies from that of the network: displacement of a point, root mean square over the
         smaller cloud. None where a station of it was not placed.

@@ -38,7 +38,8 @@ _VERDICTS = {
         "Most clouds share too little with each other to be one network.",
     ),
 }
-_PAIR_VERDICTS = {"accepted": "accepted", "review": "to be looked at", "rejected": "rejected"}
+# Of a link that the network rests on: whether it was sure of itself.
+_PAIR_VERDICTS = {"accepted": "accepted", "review": "confirmed by others", "rejected": "confirmed by others"}
 
 
 def write_network_report(folder: str | os.PathLike[str], *, overwrite: bool = True) -> Path:
@@ -108,7 +109,9 @@ def network_page(document: Mapping[str, Any], date: str | None) -> str:
     charts = {"map": network_map(document), "sigma": sigma_chart(document)}
     shown = {name: chart and {**vars(chart), "svg": Markup(chart.svg())} for name, chart in charts.items()}
     kept = [link for link in document["links"] if link["kept"]]
-    left_out = [link for link in document["links"] if not link["kept"]]
+    # Those that fitted for themselves would have done harm; the rest are pairs that share too little.
+    left_out = [link for link in document["links"] if not link["kept"] and link["verdict"] == "accepted"]
+    refused = [link for link in document["links"] if not link["kept"] and link["verdict"] != "accepted"]
     return render(
         "network.html.jinja",
         has_viewer=False,
@@ -121,6 +124,7 @@ def network_page(document: Mapping[str, Any], date: str | None) -> str:
         charts=shown,
         links=_table([_link_row(link) for link in sorted(kept, key=_badness_of_link)]),
         left_out=_table([_left_out_row(link) for link in sorted(left_out, key=_danger_of_left_out)]),
+        refused=_table([_left_out_row(link) for link in sorted(refused, key=_danger_of_left_out)]),
         stations=_table(
             [_station_row(station) for station in sorted(document["stations"], key=_badness_of_station)]
         ),
@@ -151,7 +155,6 @@ def _reasons(document: Mapping[str, Any], left_out: Sequence[Mapping[str, Any]])
     found += [
         f"Link {name_of(link)} fitted for itself, but was left out: {link['left_out_because']}"
         for link in left_out
-        if link["verdict"] == "accepted"
     ]
     return [words.sentence(text) for text in found[:12]] + (
         [f"And {len(found) - 12} more, in the tables below."] if len(found) > 12 else []
@@ -164,7 +167,7 @@ def _key_figures(document: Mapping[str, Any], kept: Sequence[Mapping[str, Any]])
     sigmas = sorted(
         (s["sigma_point_m"], s["name"]) for s in placed if s["sigma_point_m"] is not None and not s["fixed"]
     )
-    rms = [link["rms"] for link in kept if link["rms"] is not None]
+    rms = [overlap["rms"] for overlap in document.get("overlaps", []) if overlap["rms"] is not None]
     n_closed = sum(loop["closed"] for loop in loops)
     error = document.get("unit_weight_error")
     accuracy = {
@@ -238,7 +241,6 @@ def _left_out_row(link: Mapping[str, Any]) -> dict[str, Any]:
         "because": words.sentence(link["left_out_because"] or "no reason was kept"),
         "overlap": _larger(link["overlap_of_source"], link["overlap_of_target"]),
         "loops": _loops_of(link),
-        "verdict": _PAIR_VERDICTS[link["verdict"]],
     }
 
 
@@ -286,13 +288,8 @@ def _badness_of_link(link: Mapping[str, Any]) -> tuple[float, ...]:
     return (-link["n_open_loops"], -(link["normalised_residual"] or 0.0), link["n_loops"])
 
 
-def _danger_of_left_out(link: Mapping[str, Any]) -> tuple[int, float]:
-    # One that fitted for itself is the one that would have done harm.
-    order = ("accepted", "review", "rejected")
-    return (
-        order.index(link["verdict"]),
-        -(_larger(link["overlap_of_source"], link["overlap_of_target"]) or 0.0),
-    )
+def _danger_of_left_out(link: Mapping[str, Any]) -> float:
+    return -(_larger(link["overlap_of_source"], link["overlap_of_target"]) or 0.0)
 
 
 def _badness_of_station(station: Mapping[str, Any]) -> tuple[bool, bool, float]:

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 _WIDTH = 7.6  # inches: what a page on paper has between its margins
 _MOST_NAMES = 60  # of more, only those that a person must look at are written
 _NAMES_OF_MANY = 12
-_EXPECTED = 3.0  # a normalised residual beyond this is rare where all is well
+_DARKEST = 6.0  # twice the normalised residual beyond which links are rare where all is well
 
 
 def network_map(document: Mapping[str, Any]) -> Chart | None:
@@ -50,7 +50,7 @@ def network_map(document: Mapping[str, Any]) -> Chart | None:
     with styled():
         figure = new_figure(_WIDTH, (_WIDTH - 1.0) * share + 1.7)
         panel = figure.subplots()
-        _draw_links(figure, panel, document["links"], places)
+        _draw_links(figure, panel, document, places)
         _draw_stations(panel, document["stations"], places)
         base = _axes(panel, low, high)
         panel.set_title("seen from above")
@@ -58,7 +58,7 @@ def network_map(document: Mapping[str, Any]) -> Chart | None:
     caption = (
         "The stations and the links that the network rests on. A link has the colour of its residual after "
         "the adjustment, by what its own accuracy lets expect: about 1 where all is well, rarely above 3. "
-        "Dashed: links that fitted for themselves, but were left out."
+        "Thin: links of a block. Dashed: links that fitted for themselves, but were left out."
     )
     if base:
         caption += " The axes count from the place that is named beside them."
@@ -103,23 +103,22 @@ def place_of(station: Mapping[str, Any]) -> Floats | None:
     return np.array(station["world_from_station"], dtype=np.float64)[:3, 3]
 
 
-def _draw_links(
-    figure: Any, panel: Axes, links: Sequence[Mapping[str, Any]], places: Mapping[str, Floats]
-) -> None:
+def _draw_links(figure: Any, panel: Axes, document: Mapping[str, Any], places: Mapping[str, Floats]) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import LineCollection
     from matplotlib.colors import Normalize
 
+    links, stations = document["links"], document["stations"]
     drawn = [link for link in links if link["source"] in places and link["target"] in places]
     kept = [link for link in drawn if link["kept"]]
     # The worst on top, where links cross.
     kept.sort(key=lambda link: link["normalised_residual"] or 0.0)
     left_out = [link for link in drawn if not link["kept"] and link["verdict"] == "accepted"]
-    shown = [link for link in drawn if link["kept"]]
-    worst = max((link["normalised_residual"] or 0.0 for link in shown), default=0.0)
-    norm = Normalize(0.0, max(_EXPECTED, nice_ceiling(worst)))
+    # The same colours in every report: one bad link must not make all others look good.
+    worst = max((link["normalised_residual"] or 0.0 for link in kept), default=0.0)
+    norm = Normalize(0.0, _DARKEST, clip=True)
     ramp = colour_map("sequential")
-    width = float(np.clip(60 / max(len(drawn), 1), 0.7, 2.4))
+    width = float(np.clip(120 / max(len(kept), 1), 0.8, 2.4))
 
     def ends(of: Sequence[Mapping[str, Any]]) -> list[Floats]:
         return [np.array([places[link["source"]][:2], places[link["target"]][:2]]) for link in of]
@@ -128,13 +127,22 @@ def _draw_links(
         FAINT if link["normalised_residual"] is None else ramp(norm(link["normalised_residual"]))
         for link in kept
     ]
-    panel.add_collection(LineCollection(ends(kept), colors=colours, linewidths=width, zorder=2))
+    # A block is linked with nearly all stations: its star must not hide what they have between them.
+    blocks = {station["name"] for station in stations if _is_block(station)}
+    widths = [width * (0.4 if {link["source"], link["target"]} & blocks else 1.0) for link in kept]
+    panel.add_collection(LineCollection(ends(kept), colors=colours, linewidths=widths, zorder=2))
     panel.add_collection(
         LineCollection(ends(left_out), colors=MARKED, linewidths=width, linestyles="dashed", zorder=3)
     )
     if any(link["normalised_residual"] is not None for link in kept):
         bar = figure.colorbar(
-            ScalarMappable(norm, ramp), ax=panel, orientation="horizontal", aspect=45, shrink=0.8, pad=0.02
+            ScalarMappable(norm, ramp),
+            ax=panel,
+            orientation="horizontal",
+            aspect=45,
+            shrink=0.8,
+            pad=0.02,
+            extend="max" if worst > _DARKEST else "neither",
         )
         bar.set_label("residual of a link after the adjustment, by the expected one")
         bar.outline.set_linewidth(0.0)

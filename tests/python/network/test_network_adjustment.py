@@ -95,6 +95,16 @@ def test_a_link_whose_other_places_were_compared_is_believed_before_one_that_fit
     assert check_loops(more, 4, BODIES).contradicted(more) == {2}
 
 
+def test_a_station_is_not_believed_by_those_who_all_take_it_for_another() -> None:
+    # Station 2 looks like something that 1 and 3 see: both place it there, and agree with each other.
+    elsewhere = inverse(SQUARE[2]) @ pose([0.0, 0.0, 0.0], [-8.0, 3.0, 0.0]) @ SQUARE[2]
+    links = [link(0, 1), link(0, 3), link(1, 3), link(1, 2, elsewhere), link(3, 2, elsewhere)]
+    right = link(2, 0, ratio=1.4)
+    assert list(check_loops([*links, right], 4, BODIES).left_out) == [5]
+    right = replace(right, is_only_place=True)
+    assert set(check_loops([*links, right], 4, BODIES).left_out) == {3, 4}
+
+
 def test_two_doubtful_links_that_agree_overrule_one_that_alone_ties_a_station() -> None:
     wrong = pose([0.0, 0.0, 0.2], [8.0, 0.0, 0.0])
     links = [link(0, 1), link(1, 2), link(2, 0), link(3, 0, wrong, ratio=100.0)]

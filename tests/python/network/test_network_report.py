@@ -51,7 +51,7 @@ def test_a_sound_network_is_accepted_without_reasons() -> None:
     page = page_of()
     assert '<section class="verdict accepted"' in page
     assert 'aria-label="Reasons"' not in page
-    assert "None: every pair that was registered is part of the network." in page
+    assert "None: every pair that fitted for itself is part of the network." in page
     assert "link left out" not in page
 
 

@@ -105,7 +105,7 @@ def test_a_pair_of_twins_is_left_out_by_its_loop_where_the_block_knows_both() ->
     assert wrong.ambiguity_ratio > 2 * right.ambiguity_ratio
     assert right.kept
     assert not wrong.kept
-    assert re.match(r"the loop of \d links through it misses by 16 ", wrong.left_out_because)
+    assert re.match(r"the loop of \d links through it misses by 16 m ", wrong.left_out_because)
     assert any(not loop.closed and set(loop.stations) >= {wrong.source, wrong.target} for loop in found.loops)
     # Nothing else says where it stands.
     assert found.verdict == "review"
