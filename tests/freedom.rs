@@ -61,6 +61,38 @@ fn a_model_without_a_scale_gets_one() {
     }
 }
 
+/// A wall with a grid of equal windows, from the window `first` to the sixth after it.
+fn windows(first: f64, n: usize, survey: u64) -> Vec<Point> {
+    const PITCH_M: [f64; 2] = [2.268, 3.45];
+    let mut stream = tmchho::random::Stream::new(survey, "windows", 0);
+    (0..n)
+        .map(|_| {
+            let x = PITCH_M[0] * (first + 6.0 * stream.uniform());
+            let z = PITCH_M[1] * 4.0 * stream.uniform();
+            let off = |v: f64, pitch: f64| (v.rem_euclid(pitch) - pitch / 2.0).abs();
+            let is_window = off(x, PITCH_M[0]) < 0.5 && off(z, PITCH_M[1]) < 0.8;
+            [x, if is_window { 0.129 } else { 0.0 }, z].map(|v| v + 0.005 * stream.normal())
+        })
+        .collect()
+}
+
+#[test]
+fn a_levelled_row_of_windows_is_never_accepted_at_a_wrong_window() {
+    let target = windows(0.0, 18_000, 1);
+    for seed in 0..8 {
+        let turn = Rigid::from_euler([0.0, 0.0, 0.6 * seed as f64], [30.0, -12.0, 4.0]);
+        let pair = Pair::of(&target, windows(3.0, 18_000, 2 + seed), turn);
+        let config = Config { seed, ..of_dof(4) };
+        let registration = found(&pair.source, &pair.target, &config);
+        let is_right = pair.error_m(registration.target_from_source) < registration.voxel_size_m;
+        assert!(
+            is_right || registration.verdict != Verdict::Accepted,
+            "seed {seed}: {:?}",
+            registration.reasons
+        );
+    }
+}
+
 /// A box without features: turned by half a turn about the vertical it is itself.
 fn its_own_twin(n: usize, survey: u64) -> Vec<Point> {
     let mut stream = tmchho::random::Stream::new(survey, "twin", 0);

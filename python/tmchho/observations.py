@@ -173,13 +173,18 @@ def read_control_points(path: str | os.PathLike[str]) -> tuple[ControlPoint, ...
         names = [cell.lower() for cell in header]
         missing = [column for column in COLUMNS if names.count(column) != 1]
         if missing:
-            raise ReadError(f"{path}, line {first[0]}: has no one column called {', '.join(missing)}")
+            raise ReadError(
+                f"{path}, line {first[0]}: has no one column called {', '.join(missing)}; give each of "
+                f"{', '.join(COLUMNS)} once"
+            )
         places, width = [names.index(column) for column in COLUMNS], len(names)
     else:
         rows, width = _rows(text), len(COLUMNS)
     points = tuple(_control_point(f"{path}, line {line}", cells, places, width) for line, cells in rows)
     if not points:
-        raise ReadError(f"{path}: holds no control points, only the names of the columns")
+        raise ReadError(
+            f"{path}: holds no control points, only the names of the columns; give one a line below"
+        )
     return points
 
 
@@ -197,7 +202,7 @@ def _rows(text: str) -> Iterator[tuple[int, list[str]]]:
 
 def _control_point(where: str, cells: list[str], places: list[int], width: int) -> ControlPoint:
     if len(cells) != width:
-        raise ReadError(f"{where}: has {len(cells)} values where {width} are expected")
+        raise ReadError(f"{where}: has {len(cells)} values where {width} are expected; correct the line")
     values = []
     for place, column in zip(places, COLUMNS, strict=True):
         value = _number(cells[place])

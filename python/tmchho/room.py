@@ -5,7 +5,9 @@ Why before: where the system refuses memory in the middle of a computation, the 
 
 from __future__ import annotations
 
+import ctypes
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,7 +25,7 @@ _LEAST_FOR_PARTS = 600_000_000
 
 def machine_memory() -> int:
     """Return the bytes of memory of the machine, or of the group that this process is confined to."""
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    total = _physical_memory()
     confined = _confined()
     return total if confined is None else min(total, confined)
 
@@ -78,6 +80,14 @@ def in_words(n_bytes: float) -> str:
     ('1.2 GB', '57 MB')
     """
     return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.0f} MB"
+
+
+def _physical_memory() -> int:
+    if sys.platform == "win32":
+        status = (ctypes.c_ulonglong * 8)(64)  # MEMORYSTATUSEX: its own size, then the bytes of the machine
+        ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status))
+        return status[1]
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def _address_limit() -> int | None:

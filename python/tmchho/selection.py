@@ -109,7 +109,8 @@ class Selection:
         kept = self.keep(cloud.xyz, cloud.attributes, cloud.name)
         if not kept.any():
             raise InvalidCloudError(
-                f"{cloud.name}: no point is left in the crop and the classes that were asked for"
+                f"{cloud.name}: no point is left in the crop and the classes that were asked for; "
+                "`tmchho info` tells its box and classes"
             )
         return PointCloud(cloud.xyz[kept], name=cloud.name)
 
@@ -125,7 +126,9 @@ def read_polygon(path: str | os.PathLike[str]) -> Polygon:
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise ReadError(f"{path}: cannot be read as a text with a polygon ({error})") from error
+        raise ReadError(
+            f"{path}: cannot be read as a text with a polygon ({error}); give lines with x y"
+        ) from error
     try:
         if text.lstrip().startswith("{"):
             corners = _geojson(json.loads(text))
@@ -143,11 +146,15 @@ def read_polygon(path: str | os.PathLike[str]) -> Polygon:
 
 def _geojson(document: Any) -> list[list[float]]:
     if document["type"] == "FeatureCollection":
-        (feature,) = document["features"]
-        return _geojson(feature)
+        return _geojson(_only("polygon", document["features"]))
     if document["type"] == "Feature":
         return _geojson(document["geometry"])
     if document["type"] != "Polygon":
         raise ValueError(f"a {document['type']} is no polygon")
-    (ring,) = document["coordinates"]
-    return [list(map(float, corner[:2])) for corner in ring]
+    return [list(map(float, corner[:2])) for corner in _only("outline", document["coordinates"])]
+
+
+def _only(what: str, items: list[Any]) -> Any:
+    if len(items) != 1:
+        raise ValueError(f"one {what} is expected, it has {len(items)}")
+    return items[0]

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from tmchho.equations import matrix_to_euler
 from tmchho.errors import InvalidArgumentError, ReadError
 from tmchho.inputs import CloudLike, open_points
-from tmchho.results import ReadOnlyArrays, Registration
+from tmchho.results import ReadOnlyArrays, Registration, pose_matrix
 
 StrPath = str | os.PathLike[str]
 Matrix = NDArray[np.float64]
@@ -114,6 +114,14 @@ class Transform(ReadOnlyArrays):
     def turn(self, vectors: NDArray[Any]) -> NDArray[np.float64]:
         """Turn directions, (n, 3), such as normals: neither shifted nor scaled."""
         return np.asarray(vectors @ _rotation(self.local_matrix).T)
+
+
+def about_middle(matrix: Matrix, middle: NDArray[np.float64]) -> Transform:
+    """Return a pose stated about the middle of the source, so that nothing is lost at national-grid size."""
+    checked = pose_matrix(matrix)
+    turned = np.eye(4)
+    turned[:3, :3] = checked[:3, :3]
+    return Transform.about(turned, middle, checked[:3, :3] @ middle + checked[:3, 3])
 
 
 def transform_document(
@@ -290,7 +298,10 @@ def read_transform(path: StrPath) -> Transform:
                 return Transform.about(local, parsed["source_pivot"], parsed["target_pivot"])
         return Transform.of(_matrix_in(path, parsed))
     except (InvalidArgumentError, KeyError, TypeError, ValueError) as error:
-        raise ReadError(f"{path}: does not hold a transform that can be used ({error})") from error
+        raise ReadError(
+            f"{path}: does not hold a transform that can be used ({error}); give the transform.json, "
+            "result.json or transform.txt of a registration"
+        ) from error
 
 
 def read_target_crs(path: StrPath) -> str | None:

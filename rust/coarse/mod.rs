@@ -7,6 +7,7 @@
 //! Absent on purpose: the verdict; this stage reports figures and judges nobody.
 
 mod descent;
+mod echoes;
 mod explore;
 mod hypotheses;
 mod options;

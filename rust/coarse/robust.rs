@@ -54,11 +54,6 @@ impl StandingOut {
         }
     }
 
-    fn is_met(&self, verifier: &Verifier<'_>) -> bool {
-        let share = verifier.best().map_or(0.0, |v| v.agreement.inlier_share);
-        self.is_met_by(share, verifier.ambiguity_ratio)
-    }
-
     /// Whether a pose of that share of inliers and lead over its rivals stands out.
     pub fn is_met_by(&self, share: f64, ratio: f64) -> bool {
         share > self.inlier_share
@@ -77,20 +72,22 @@ enum Round {
 }
 
 impl Round {
-    /// Whether few rivals have been met at its end.
-    fn is_early(&self) -> bool {
-        matches!(self, Self::Starts { index: 0, .. } | Self::Descriptors)
+    /// Whether it is wide enough to meet the rivals of the best pose.
+    fn is_wide(&self) -> bool {
+        matches!(self, Self::Starts { index: 1.., .. })
     }
 }
 
-/// Few starts find most poses. Where they do not, descriptors cost less than more starts.
-fn rounds(options: &RobustSearchOptions) -> Vec<Round> {
+/// Few starts find most poses. Where they do not, descriptors cost less than more starts; than more
+/// yaws they cost more.
+fn rounds(options: &RobustSearchOptions, freedom: Freedom) -> Vec<Round> {
     let counts = options.rotations_per_round.iter().enumerate();
     let mut rounds: Vec<Round> = counts
         .map(|(index, &n_rotations)| Round::Starts { index, n_rotations })
         .collect();
     if options.descriptors {
-        rounds.insert(1, Round::Descriptors);
+        let at = if freedom == Freedom::Levelled { 2 } else { 1 };
+        rounds.insert(at.min(rounds.len()), Round::Descriptors);
     }
     rounds
 }
@@ -153,6 +150,7 @@ pub fn search_robust(
             false => pose.inverse().rigid,
         })
         .collect();
+    let n_early = options.n_verified.div_ceil(EARLY);
     let mut stands_out = false;
     if !known.is_empty() {
         let start = |i: usize| {
@@ -170,19 +168,20 @@ pub fn search_robust(
         basins.truncate(options.n_verified);
         let poses = [known.clone(), basins].concat();
         verifier.look_at(&poses, known.len(), deadline, progress)?;
-        stands_out = enough.is_met(&verifier);
+        stands_out = verifier.stands_out(enough, n_early, deadline, progress)?;
     }
     // The pose that the files already have is always among the candidates.
     let as_given =
         Rigid::identity().between_local_coordinates(moving.cloud.origin, fixed.cloud.origin);
     let mut given = vec![as_given, Rigid::identity()];
-    let rounds = rounds(options);
+    let rounds = rounds(options, problem.freedom);
+    let mut has_met_rivals = false;
     for (i, round) in rounds.iter().enumerate() {
         if stands_out || (n_rounds > 0 && deadline.is_over()) {
             break;
         }
         n_rounds += 1;
-        let is_early = round.is_early() && i + 1 < rounds.len();
+        has_met_rivals |= round.is_wide() || i + 1 == rounds.len();
         let found = match *round {
             Round::Starts { index, n_rotations } => {
                 let which = (index, n_rotations);
@@ -191,9 +190,9 @@ pub fn search_robust(
                 let (mut basins, n_poses) =
                     explorer.basins(starts.len(), start, deadline, progress)?;
                 n_explored += n_poses;
-                basins.truncate(match round.is_early() {
-                    true => options.n_verified.div_ceil(EARLY),
-                    false => options.n_verified,
+                basins.truncate(match round.is_wide() {
+                    true => options.n_verified,
+                    false => n_early,
                 });
                 basins
             }
@@ -201,19 +200,17 @@ pub fn search_robust(
                 let (moving, fixed) = (&moving.cloud, &fixed.cloud);
                 let proposed =
                     hypotheses::propose(moving, fixed, unit_m, problem.freedom, progress)?;
-                let n_proposed = options.n_verified.div_ceil(EARLY);
-                proposed.iter().take(n_proposed).map(|h| h.pose).collect()
+                proposed.iter().take(n_early).map(|h| h.pose).collect()
             }
         };
         let n_certain = given.len();
         let poses = [std::mem::take(&mut given), found].concat();
         verifier.look_at(&poses, n_certain, deadline, progress)?;
-        // Levelled clouds that repeat themselves, a row of windows, meet their rivals late.
-        let ends_early = problem.freedom != Freedom::Levelled;
-        stands_out = match is_early {
-            true => ends_early && enough.early().is_met(&verifier),
-            false => enough.is_met(&verifier),
+        let wanted = match has_met_rivals {
+            true => enough,
+            false => enough.early(),
         };
+        stands_out = verifier.stands_out(wanted, n_early, deadline, progress)?;
     }
     const MAX_CANDIDATES: usize = 8;
     let n_evaluations = n_explored + verifier.n_evaluations;

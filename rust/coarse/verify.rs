@@ -1,6 +1,8 @@
 //! Few poses, looked at closely: refined, scored in both directions, ranked, compared with rivals.
 
 use super::descent::{self, Fixed, Shrinking};
+use super::echoes::echoes;
+use super::robust::StandingOut;
 use super::{differ, starts, without_points};
 use crate::deadline::Deadline;
 use crate::distance_field::NearestGrid;
@@ -179,6 +181,34 @@ impl<'a> Verifier<'a> {
         let best = self.best().map_or(0.0, |v| v.agreement.score());
         self.history.push(best.max(self.best_score_so_far()));
         Ok(())
+    }
+
+    /// Whether the best pose stands out, also from its `max_echoes` strongest echoes, which are looked
+    /// at only where it otherwise would.
+    pub(super) fn stands_out(
+        &mut self,
+        wanted: StandingOut,
+        max_echoes: usize,
+        deadline: Deadline,
+        progress: &Progress<'_>,
+    ) -> Result<bool> {
+        if !self.meets(wanted) {
+            return Ok(false);
+        }
+        let best = self.best().map(|best| best.pose.rigid);
+        let (moving, fixed, unit_m) = (self.moving, self.fixed, self.unit_m);
+        let echoes = best.map_or_else(Vec::new, |best| {
+            echoes(moving, fixed, &best, unit_m, max_echoes)
+        });
+        if !echoes.is_empty() {
+            self.look_at(&echoes, 0, deadline, progress)?;
+        }
+        Ok(self.meets(wanted))
+    }
+
+    fn meets(&self, wanted: StandingOut) -> bool {
+        let share = self.best().map_or(0.0, |v| v.agreement.inlier_share);
+        wanted.is_met_by(share, self.ambiguity_ratio)
     }
 
     fn best_score_so_far(&self) -> f64 {

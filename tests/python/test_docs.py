@@ -144,6 +144,38 @@ def anchors_of(document: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+def test_the_architecture_names_every_room() -> None:
+    text = text_of(REPOSITORY / "ARCHITECTURE.md")
+    rooms = [*(REPOSITORY / "rust").iterdir(), *(REPOSITORY / "python" / "tmchho").iterdir()]
+    passages = {"lib.rs", "__main__.py", "py.typed", "__pycache__"}
+    unnamed = [
+        name
+        for room in rooms
+        if room.name not in passages and room.suffix not in {".so", ".pyd"}
+        for name in [name_of(room) + ("/" if room.is_dir() else "")]
+        if f"`{name}" not in text
+    ]
+    assert not unnamed
+
+
+def test_the_architecture_names_the_files_that_import_the_core() -> None:
+    text = text_of(REPOSITORY / "ARCHITECTURE.md")
+    sentence = re.search(r"^Only ([^.]*(?:\.[^.]+)*?) import\s+`tmchho\._core`", text, re.MULTILINE)
+    assert sentence is not None
+    told = set(BACKTICKED.findall(sentence[1]))
+    package = REPOSITORY / "python" / "tmchho"
+    imports = re.compile(
+        r"^\s*(?:from tmchho import _core|from tmchho\._core import|import tmchho\._core)", re.MULTILINE
+    )
+    found = [path for path in package.rglob("*.py") if imports.search(text_of(path))]
+    assert told == {
+        name_of(path)
+        if path.parent == package
+        else name_of(package / path.relative_to(package).parts[0]) + "/"
+        for path in found
+    }
+
+
 def test_the_paper_map_has_a_row_for_everything_in_the_paper() -> None:
     named = {
         label

@@ -29,7 +29,20 @@ def _print_version(context: click.Context, _option: click.Parameter, wanted: boo
         context.exit()
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]}, epilog=EXIT_CODES)
+_EXAMPLES = """\b
+Examples:
+  tmchho demo                                   # a simulated site into out/demo
+  tmchho register uav.las tls.laz -o out        # moves uav.las onto tls.laz
+  tmchho COMMAND --help                         # all options, with examples
+
+"""
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=_EXAMPLES + EXIT_CODES,
+)
 @click.option(
     "--version",
     is_flag=True,
@@ -41,11 +54,12 @@ def _print_version(context: click.Context, _option: click.Parameter, wanted: boo
 def main() -> None:
     """Register point clouds of different sensors, without targets and without an initial guess.
 
-    SOURCE is moved, TARGET stays where it is. Try `tmchho demo` first.
+    Try `tmchho demo` first.
     """
 
 
-_COMMANDS = (register, network, evaluate, apply, info, demo, config, paper, report, view, doctor, completion)
+# In the order in which a newcomer needs them: `--help` lists them so.
+_COMMANDS = (demo, info, register, report, view, evaluate, apply, network, config, paper, doctor, completion)
 for _command in _COMMANDS:
     main.add_command(_command)
 

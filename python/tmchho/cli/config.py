@@ -16,8 +16,16 @@ from tmchho.cli.failures import debug_option
 
 _WIDTH = 100
 
+_EXAMPLES = """\b
+Examples:
+  tmchho config > settings.toml
+  # change a line in it, then
+  tmchho register uav.laz tls.laz -o out --config settings.toml
 
-@click.command(short_help="Print all settings with their defaults.")
+"""
+
+
+@click.command(short_help="Print all settings with their defaults.", epilog=_EXAMPLES)
 @debug_option
 def config() -> None:
     """Print all settings with their defaults, as TOML for `tmchho register --config`.

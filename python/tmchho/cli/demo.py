@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tmchho.cli.display import Display, display
-from tmchho.cli.failures import NOT_ACCEPTED, debug_option
+from tmchho.cli.failures import debug_option, end
 from tmchho.cli.options import json_option, output_option, overwrite_option, quiet_option, report_option
 from tmchho.cli.register import replay_command
 
@@ -23,8 +23,16 @@ UAV, TLS = "uav.laz", "tls.laz"
 # The scanner's points for each of the photogrammetry's, as in the default pair.
 _SCANNER_SHARE = 320 / 420
 
+_EXAMPLES = """\b
+Examples:
+  tmchho demo
+  # in a few seconds, and another site
+  tmchho demo --points 60000 --seed 5 -o out/small
 
-@click.command(short_help="Simulate, register and check a dam site.")
+"""
+
+
+@click.command(short_help="Simulate, register and check a dam site.", epilog=_EXAMPLES)
 @output_option(default=Path("out/demo"), show_default=True)
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of site, pose and search."
@@ -54,7 +62,7 @@ def demo(
     """
     from tmchho import Config
     from tmchho.cli.workflow import Job, run
-    from tmchho.outputs import OUTPUTS, REPORT, check_folder, json_text
+    from tmchho.outputs import OUTPUTS, REPORT, check_folder
 
     check_folder(output, names=(UAV, TLS, *OUTPUTS, REPORT), overwrite=overwrite)
     with display(quiet) as shown:
@@ -64,12 +72,8 @@ def demo(
         job = Job(source, target, output, Config(seed=seed), command, overwrite, has_report=report)
         outcome = run(job, shown, lambda cloud, found: {"truth": compare(cloud, found, truth)})
         seconds = shown.seconds
-    if as_json:
-        click.echo(json_text(outcome.document), nl=False)
-    else:
-        click.echo(_table(outcome, seconds))
-    if outcome.document["truth"]["rms_displacement_in_voxels"] > 1:
-        click.get_current_context().exit(NOT_ACCEPTED)
+    is_right = outcome.document["truth"]["rms_displacement_in_voxels"] <= 1
+    end(outcome.document, lambda: _table(outcome, seconds), as_json=as_json, accepted=is_right)
 
 
 def compare(source: PointCloud, found: Registration, truth: NDArray[np.float64]) -> dict[str, Any]:

@@ -29,8 +29,16 @@ _EXTRAS = {
 }
 _POINTS, _TOLERANCE = 3000, 1e-6
 
+_EXAMPLES = """\b
+Examples:
+  tmchho doctor
+  # to enclose with a question
+  tmchho doctor --json > doctor.json
 
-@click.command(short_help="Tell what is installed, what is missing, and whether it works.")
+"""
+
+
+@click.command(short_help="Tell what is installed, what is missing, and whether it works.", epilog=_EXAMPLES)
 @json_option
 @debug_option
 def doctor(as_json: bool) -> None:

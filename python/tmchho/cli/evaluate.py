@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tmchho.cli.display import Display, display
-from tmchho.cli.failures import debug_option
+from tmchho.cli.failures import EXIT_CODES, debug_option
 from tmchho.cli.options import (
     PATH,
     areas_option,
@@ -48,7 +48,7 @@ _COLUMNS = {
 _FORMS = ("laz", "csv", "coloured-laz", "coloured-ply")
 
 
-@click.command(short_help="Measure how far two clouds lie apart.", epilog=_EXAMPLES)
+@click.command(short_help="Measure how far two clouds lie apart.", epilog=_EXAMPLES + EXIT_CODES)
 @click.argument("source", type=PATH)
 @click.argument("target", type=PATH)
 @output_option()

@@ -6,7 +6,7 @@ import errno
 import signal
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -36,6 +36,10 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 class Commands(click.Group):
     """A group of commands that turns every error into its sentence and its exit code."""
 
+    def list_commands(self, context: click.Context) -> list[str]:
+        """Return the names in the order in which they were added, not in that of the alphabet."""
+        return list(self.commands)
+
     def invoke(self, context: click.Context) -> Any:
         """Run the command that was asked for."""
         interrupts = _Interrupts()
@@ -64,6 +68,30 @@ def _explained(error: BaseException) -> tuple[str, int]:
     if isinstance(error, MemoryError):
         return "error: not enough memory; thin the clouds out or cut them into tiles", BudgetError.exit_code
     return f"error: unexpected {type(error).__name__}: {what}; run with --debug for the traceback", INTERNAL
+
+
+def end(document: Mapping[str, Any], summary: Callable[[], str], *, as_json: bool, accepted: bool) -> None:
+    """Print what came out, as JSON or in words, and end the command with the exit code that belongs to it.
+
+    Parameters
+    ----------
+    document : mapping
+        The result for machines.
+    summary : callable
+        Makes the result for people.
+    as_json : bool
+        Which of the two is asked for.
+    accepted : bool
+        Whether nobody has to look at it.
+    """
+    from tmchho.outputs import json_text
+
+    if as_json:
+        click.echo(json_text(document), nl=False)
+    else:
+        click.echo(summary())
+    if not accepted:
+        click.get_current_context().exit(NOT_ACCEPTED)
 
 
 def debug_option(command: Command) -> Command:

@@ -10,7 +10,7 @@ import click
 
 from tmchho.cli.crs import crs_name
 from tmchho.cli.display import display
-from tmchho.cli.failures import debug_option
+from tmchho.cli.failures import EXIT_CODES, debug_option
 from tmchho.cli.options import PATH, json_option, max_memory_option, quiet_option
 from tmchho.errors import TmchhoError
 
@@ -24,8 +24,16 @@ if TYPE_CHECKING:
 _VISIBLE_STEP = 0.02
 _WIDTH = 96
 
+_EXAMPLES = """\b
+Examples:
+  tmchho info uav.laz tls.e57
+  # for a script
+  tmchho info uav.laz --json
 
-@click.command(short_help="Tell what is in files and what looks wrong.")
+"""
+
+
+@click.command(short_help="Tell what is in files and what looks wrong.", epilog=_EXAMPLES + EXIT_CODES)
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE...")
 @max_memory_option
 @json_option

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tmchho.cli.display import display
-from tmchho.cli.failures import EXIT_CODES, NOT_ACCEPTED, debug_option
+from tmchho.cli.failures import EXIT_CODES, debug_option, end
 from tmchho.cli.options import (
     PATH,
     json_option,
@@ -150,14 +150,8 @@ def network(
     )
     with display(quiet) as shown:
         outcome = run_network(job, shown)
-    if as_json:
-        from tmchho.outputs import json_text
-
-        click.echo(json_text(outcome.document), nl=False)
-    else:
-        click.echo(_summary(outcome))
-    if outcome.found.verdict != "accepted":
-        click.get_current_context().exit(NOT_ACCEPTED)
+    is_accepted = outcome.found.verdict == "accepted"
+    end(outcome.document, lambda: _summary(outcome), as_json=as_json, accepted=is_accepted)
 
 
 def _check_usage(options: dict[str, Any], overwrite: bool) -> None:

@@ -17,8 +17,17 @@ from tmchho.progress import ProgressEvent
 ALL = "all"
 _DEFAULTS = Settings()
 
+_EXAMPLES = """\b
+Examples:
+  # the optimisers on functions, in seconds
+  tmchho paper table3 figure6
+  # registrations of real scans, as often as the article
+  TMCHHO_DATA=/path/to/scans tmchho paper table4 table5 --runs 20
 
-@click.command(short_help="Reproduce the paper's tables and figures.", epilog=EXIT_CODES)
+"""
+
+
+@click.command(short_help="Reproduce the paper's tables and figures.", epilog=_EXAMPLES + EXIT_CODES)
 @click.argument("names", nargs=-1, required=True, metavar="NAME...", type=click.Choice([*SECTIONS, ALL]))
 @output_option(default=Path("out/paper"), show_default=True)
 @click.option(
@@ -56,15 +65,15 @@ def paper(
     points: int,
     quiet: bool,
 ) -> None:
-    r"""Run the paper's experiments again, and more; show ours beside the printed values.
+    """Run the paper's experiments again, and more; show ours beside the printed values.
 
     \b
     NAME is one or more of
-      table3 figure6 figure3          the optimisers on functions, the chaotic maps
-      table4 table5 figure8 figure9 figure10   Stanford's objects (Section 5.2)
-      table6 table7 figure14          the dam site (Section 5.3), simulated
+      table3 figure6 figure3                          the optimisers on functions, the chaotic maps
+      table4 table5 figure8 figure9 figure10          Stanford's objects (Section 5.2)
+      table6 table7 figure14                          the dam site (Section 5.3), simulated
       ranks ablation budgets shifted modern success   what the paper leaves out
-      all                             everything
+      all                                             everything
 
     The folder gets a CSV file for each table, a PNG file for each picture, and paper.html, one page with
     all that was asked for. Finished runs are kept there in runs.jsonl: an interrupted command goes on where
@@ -75,7 +84,7 @@ def paper(
 
     Real scans are read from the folder that TMCHHO_DATA names (stanford/pairs.json and what it lists);
     where it is not set, simulated objects stand in for them. Needs the extra: pip install 'tmchho[paper]'.
-    """
+    """  # noqa: D301 (\b is for click: keep these lines as they are)
     wanted = list(SECTIONS) if ALL in names else [name for name in SECTIONS if name in names]
     settings = Settings(runs=runs, seed=seed, n_iterations=iterations, n_site_points=points)
     with display(quiet) as shown:

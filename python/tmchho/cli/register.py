@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tmchho.cli.display import display
-from tmchho.cli.failures import EXIT_CODES, NOT_ACCEPTED, debug_option
+from tmchho.cli.failures import EXIT_CODES, debug_option, end
 from tmchho.cli.options import (
     PATH,
     area,
@@ -216,14 +216,7 @@ def register(
     )
     with display(quiet) as shown:
         outcome = run(job, shown)
-    if as_json:
-        from tmchho.outputs import json_text
-
-        click.echo(json_text(outcome.document), nl=False)
-    else:
-        click.echo(summary(outcome))
-    if not outcome.is_accepted:
-        click.get_current_context().exit(NOT_ACCEPTED)
+    end(outcome.document, lambda: summary(outcome), as_json=as_json, accepted=outcome.is_accepted)
 
 
 def replay_command(source: Path, target: Path, options: dict[str, Any]) -> str:

@@ -10,8 +10,16 @@ from tmchho.cli.display import display
 from tmchho.cli.failures import EXIT_CODES, debug_option
 from tmchho.cli.options import PATH, quiet_option
 
+_EXAMPLES = """\b
+Examples:
+  tmchho report out
+  # the page alone, without pictures for a slide
+  tmchho report out --no-pdf --no-figures
 
-@click.command(short_help="Make the report of a registration, also as PDF.", epilog=EXIT_CODES)
+"""
+
+
+@click.command(short_help="Make the report of a registration, also as PDF.", epilog=_EXAMPLES + EXIT_CODES)
 @click.argument("folder", type=PATH)
 @click.option(
     "--pdf/--no-pdf",

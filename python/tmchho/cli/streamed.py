@@ -49,15 +49,11 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
 
     paths = (job.source, job.target)
     unchanged = Unchanged(paths)
-    source, target = (open_in_parts(path) for path in paths)
+    source, target = open_in_parts(paths, max_memory, shown)
     if source.header.has_waveforms:
         raise WriteError(
             f"{job.source}: LAZ cannot hold waveforms; convert the file to a format without them"
         )
-    shown.note(
-        f"{len(source):,} and {len(target):,} points do not fit into {max_memory / 1e9:.3g} GB: "
-        "they are worked on in parts"
-    )
     check_crs(
         *((str(file.path), file.crs, file.header.minima, file.header.maxima) for file in (source, target)),
         assume_same=job.assume_same_crs,
@@ -149,18 +145,24 @@ def run_streamed(job: Job, shown: Display, max_memory: int) -> Outcome:
     return Outcome(registration, document, written)
 
 
-def open_in_parts(path: Path) -> LasPoints:
-    """Open a file that is too large to be read as a whole; `BudgetError` if it is neither LAS nor LAZ."""
+def open_in_parts(paths: tuple[Path, Path], max_memory: int, shown: Display) -> tuple[LasPoints, LasPoints]:
+    """Open two files that are too large to be read as wholes; `BudgetError` if one is neither LAS nor LAZ."""
     from tmchho.io import is_las, open_las
     from tmchho.room import check_room_for_parts
 
     check_room_for_parts()
-    if not is_las(path):
-        raise BudgetError(
-            f"{path}: together with the other file needs more memory than is allowed, and only LAS and "
-            "LAZ can be read in parts; convert it to LAZ, or allow more with --max-memory"
-        )
-    return open_las(path)
+    for path in paths:
+        if not is_las(path):
+            raise BudgetError(
+                f"{path}: together with the other file needs more memory than is allowed, and only LAS and "
+                "LAZ can be read in parts; convert it to LAZ, or allow more with --max-memory"
+            )
+    source, target = map(open_las, paths)
+    shown.note(
+        f"{len(source):,} and {len(target):,} points do not fit into {max_memory / 1e9:.3g} GB: "
+        "they are worked on in parts"
+    )
+    return source, target
 
 
 def _keep(selection: Selection | None, file: LasPoints) -> Keep | None:

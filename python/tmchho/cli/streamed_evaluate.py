@@ -31,11 +31,7 @@ def evaluate_in_parts(
     from tmchho.streams import evaluate_files, m3c2_files, write_streamed_evaluation
 
     unchanged = Unchanged((job.source, job.target))
-    source, target = (open_in_parts(path) for path in (job.source, job.target))
-    shown.note(
-        f"{len(source):,} and {len(target):,} points do not fit into {max_memory / 1e9:.3g} GB: "
-        "they are worked on in parts"
-    )
+    source, target = open_in_parts((job.source, job.target), max_memory, shown)
     areas = job.areas(target.crs) or None
     with scratch_in(job.output) as scratch:
         with shown.step("evaluate", "measuring in tiles"):

@@ -12,8 +12,16 @@ from tmchho.cli.display import display
 from tmchho.cli.failures import EXIT_CODES, debug_option
 from tmchho.cli.options import PATH, overwrite_option, quiet_option
 
+_EXAMPLES = """\b
+Examples:
+  tmchho view uav.laz tls.laz
+  # a file to pass on
+  tmchho view out/fused.laz -o fused.html --points 300000
 
-@click.command(short_help="Show clouds in the browser.", epilog=EXIT_CODES)
+"""
+
+
+@click.command(short_help="Show clouds in the browser.", epilog=_EXAMPLES + EXIT_CODES)
 @click.argument("clouds", type=PATH, nargs=-1, required=True, metavar="CLOUD...")
 @click.option(
     "-o",

@@ -82,7 +82,9 @@ def read_areas(path: str | os.PathLike[str], crs: str | None = None) -> tuple[Ar
     except (UnicodeDecodeError, ValueError, shapely.errors.ShapelyError) as error:
         if isinstance(error, InvalidArgumentError):
             raise
-        raise ReadError(f"{path}: does not hold areas that can be read ({error})") from error
+        raise ReadError(
+            f"{path}: does not hold areas that can be read ({error}); export them as GeoJSON"
+        ) from error
     except OSError as error:
         if isinstance(error, ReadError):
             raise
@@ -139,7 +141,10 @@ def _read_wkt(path: Path) -> list[_Named]:
         if match is None:
             if number == 1:
                 continue  # a heading
-            raise ReadError(f"{path}: line {number} is no POLYGON or MULTIPOLYGON in WKT")
+            raise ReadError(
+                f"{path}: line {number} is no POLYGON or MULTIPOLYGON in WKT; write one a line, such as "
+                "POLYGON ((0 0, 9 0, 9 9, 0 0))"
+            )
         crs = None if match["srid"] is None else f"EPSG:{match['srid']}"
         found.append(_Named(match["name"] or str(len(found) + 1), shapely.from_wkt(match["wkt"]), crs))
     return found
@@ -157,7 +162,9 @@ def _read_with_pyogrio(path: Path) -> list[_Named]:
     try:
         about, _, geometries, columns = pyogrio.raw.read(path)
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError) as error:
-        raise ReadError(f"{path}: cannot be read as a layer of areas ({error})") from error
+        raise ReadError(
+            f"{path}: cannot be read as a layer of areas ({error}); export it as GeoJSON"
+        ) from error
     found: list[_Named] = []
     for number, geometry in enumerate(geometries, start=1):
         row = {str(key): column[number - 1] for key, column in zip(about["fields"], columns, strict=True)}
@@ -230,7 +237,8 @@ def _converted(path: Path, geometry: Any, given: str, crs: str) -> Any:
         )
     except pyproj.exceptions.ProjError as error:
         raise InvalidArgumentError(
-            f"{path}: its areas cannot be converted from {given} to the system of the target ({error})"
+            f"{path}: its areas cannot be converted from {given} to the system of the target ({error}); "
+            "export them in the target's system"
         ) from error
     if not np.isfinite(shapely.get_coordinates(result)).all():
         raise InvalidArgumentError(

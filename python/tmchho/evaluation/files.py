@@ -1,4 +1,7 @@
-"""The files that an evaluation leaves: clouds with distances, coloured ones with a legend, tables."""
+"""The files that an evaluation leaves: clouds with distances, coloured ones with a legend, tables.
+
+What each file is called and holds is said here, also for files that are written in parts.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,10 @@ from tmchho.evaluation.colours import ColourScale
 from tmchho.evaluation.distances import SIGNED, Evaluation
 from tmchho.io import write
 from tmchho.outputs import json_text, write_together
+from tmchho.transform import about_middle
 
 EVALUATION, AREAS, LEGEND = "evaluation.json", "areas.csv", "legend.csv"
+CHANGE = "change"
 FORMS = ("laz", "csv", "coloured-laz", "coloured-ply")
 # How the distances are called in clouds: CloudCompare's names, with lines in place of blanks.
 NAMES = {
@@ -50,8 +55,11 @@ def distance_clouds(
         target's; points with a coordinate that is not finite are left out.
     """
     name = NAMES[result.method]
-    standing = np.array_equal(matrix, np.eye(4))
-    moved = source if standing else replace(source, xyz=_moved(source.xyz, matrix), crs=target.crs)
+    moved = source
+    if not np.array_equal(matrix, np.eye(4)):
+        middle = source.xyz[np.isfinite(source.xyz).all(axis=1)].mean(axis=0)
+        xyz = about_middle(matrix, middle).apply(source.xyz)
+        moved = replace(source, xyz=xyz, crs=target.crs)
     clouds = {}
     for direction, cloud, distances in (
         ("source_to_target", moved, result.source_to_target),
@@ -109,33 +117,54 @@ def write_evaluation(
         If one of them cannot be written; then none stays behind.
     """
     significant: NDArray[np.bool_] | None = None
+    name, is_signed = measure(None if isinstance(result, Change) else result.method)
     if isinstance(result, Change):
-        clouds, name = {"change": result.to_point_cloud(target.crs)}, "M3C2_distance"
-        significant = clouds["change"].attributes["significant_change"].astype(bool)
+        clouds = {CHANGE: result.to_point_cloud(target.crs)}
+        significant = clouds[CHANGE].attributes["significant_change"].astype(bool)
     else:
-        clouds, name = distance_clouds(result, source, target, matrix), NAMES[result.method]
+        clouds = distance_clouds(result, source, target, matrix)
     every = np.concatenate([cloud.attributes[name] for cloud in clouds.values()])
-    is_signed = isinstance(result, Change) or result.method in SIGNED
     scale = ColourScale.of(every, is_signed=is_signed, tolerance=result.tolerance)
 
     files = tables(document)
     chosen = tuple(forms)
     for direction, cloud in clouds.items():
-        shown = replace(
-            cloud, attributes={**cloud.attributes, **scale.apply(cloud.attributes[name], significant)}
-        )
+        colours = scale.apply(cloud.attributes[name], significant)
         for form in chosen:
-            extension = form.rpartition("-")[2]
-            is_coloured = form.startswith("coloured")
-            stem = f"{direction}_coloured" if is_coloured else direction
-            written = shown if is_coloured else cloud
-            if extension == "csv" and direction != "change":  # as text, attributes take ten times the room
-                written = replace(cloud, attributes={name: cloud.attributes[name]})
-            files[f"{stem}.{extension}"] = _writer(written, target)
+            written = in_form(cloud, direction, form, colours, name)
+            files[file_name(direction, form)] = _writer(written, target)
     if any(form.startswith("coloured") for form in chosen):
         files |= tables(document, scale.legend(every, significant))
     write_together(folder, files, overwrite=overwrite, inputs=inputs)
     return tuple(folder / file for file in files)
+
+
+def measure(method: str | None) -> tuple[str, bool]:
+    """Return what a method's lengths are called in clouds, and whether they have a sign; None is a change."""
+    return ("M3C2_distance", True) if method is None else (NAMES[method], method in SIGNED)
+
+
+def file_name(direction: str, form: str) -> str:
+    """Return what the file of a cloud in one of its `FORMS` is called.
+
+    Examples
+    --------
+    >>> file_name("change", "csv"), file_name("source_to_target", "coloured-laz")
+    ('change.csv', 'source_to_target_coloured.laz')
+    """
+    extension = form.rpartition("-")[2]
+    return f"{direction}_coloured.{extension}" if form.startswith("coloured") else f"{direction}.{extension}"
+
+
+def in_form(
+    cloud: PointCloud, direction: str, form: str, colours: Mapping[str, NDArray[Any]], name: str
+) -> PointCloud:
+    """Return a cloud with what one of its `FORMS` holds of it; `name` is its measured length."""
+    if form.startswith("coloured"):
+        return replace(cloud, attributes={**cloud.attributes, **colours})
+    if form == "csv" and direction != CHANGE:  # as text, attributes take ten times the room
+        return replace(cloud, attributes={name: cloud.attributes[name]})
+    return cloud
 
 
 def tables(
@@ -172,10 +201,3 @@ def _write_table(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequenc
 
 def _writer(cloud: PointCloud, target: PointCloud) -> Callable[[Path], None]:
     return lambda path: write(cloud, path, like=target)
-
-
-def _moved(xyz: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Move points about their middle, so that nothing is lost at national-grid size."""
-    rows = np.isfinite(xyz).all(axis=1)
-    middle = xyz[rows].mean(axis=0)
-    return np.asarray((xyz - middle) @ matrix[:3, :3].T + (matrix[:3, :3] @ middle + matrix[:3, 3]))

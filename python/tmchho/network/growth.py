@@ -6,8 +6,9 @@
    second would otherwise be taken for the first by all neighbours, and agree with all of them.
 3. Stations that are not sure ask the votes of the descriptors, look briefly at those named, and try the best;
    each round goes further down their lists.
-4. Stations that a block should hold, but does not alone, are sought there thoroughly, all their places
-   compared. One with two places is given up, whoever took it for his neighbour.
+4. Stations that a block should hold, but does not alone, or whose links contradict each other, are sought
+   there thoroughly, all their places compared. One with two places is given up, whoever took it for his
+   neighbour.
 5. What is still not placed is searched as thoroughly as a pair alone would be.
 
 So the number of registrations follows the links that exist, not the pairs that could be thought of.
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from tmchho.network.descriptors import VOXEL_BY_UNIT
 from tmchho.network.engine import Engine, Item
 from tmchho.network.links import Link, link_of, register_link
-from tmchho.network.loops import Bodies, Checked, agreeing_links, check_loops, components, placed_by
+from tmchho.network.loops import Bodies, Checked, check_loops, components, confirming_links, placed_by
 from tmchho.network.poses import inverse
 from tmchho.network.propose import Pair, overlapping_pairs, screen_pair, voted_pairs
 from tmchho.network.seat import seat_station
@@ -102,6 +103,8 @@ class Growth:
     screened: dict[Pair, Item] = field(default_factory=dict)
     # Stations that fit at two places alike, and what is said of them.
     two_places: dict[int, str] = field(default_factory=dict)
+    # What `checked` returns, until there are other results.
+    _checked: tuple[list[Link], Checked] | None = field(default=None, init=False)
 
     def grow(self, near: Iterable[Pair], known: NDArray[np.bool_]) -> None:
         """Register what is worth it until every station is placed or nothing is left to try.
@@ -181,6 +184,7 @@ class Growth:
         found = self.engine.run("links", register_link, items)
         for pair, result in zip(wanted, found, strict=True):
             self.results[pair] = {**result, "full": not quick}
+        self._checked = None
 
     def direction(self, pair: Pair) -> Pair:
         """Return source and target of a pair: a cloud whose scale is free moves, otherwise the first does."""
@@ -210,16 +214,21 @@ class Growth:
 
     def checked(self) -> tuple[list[Link], Checked]:
         """Return the links that are accepted, or confirmed by each other, and what their loops say."""
-        bodies, n = self.material.bodies, len(self.material)
-        links = self.links()
-        checked = check_loops(links, n, bodies)
-        doubtful = [
-            link for link in self.links(("review", "rejected")) if link.ambiguity_ratio >= MIN_DOUBTFUL_RATIO
-        ]
-        agreeing = agreeing_links([links[k] for k in checked.kept], doubtful, n, bodies)
-        if not agreeing:
-            return links, checked
-        return [*links, *agreeing], check_loops([*links, *agreeing], n, bodies)
+        if self._checked is None:
+            bodies, n = self.material.bodies, len(self.material)
+            links = self.links()
+            checked = check_loops(links, n, bodies)
+            doubtful = [
+                link
+                for link in self.links(("review", "rejected"))
+                if link.ambiguity_ratio >= MIN_DOUBTFUL_RATIO
+            ]
+            confirming = confirming_links(links, checked, doubtful, n, bodies)
+            if confirming:
+                links = [*links, *confirming]
+                checked = check_loops(links, n, bodies)
+            self._checked = links, checked
+        return self._checked
 
     def groups(self) -> list[dict[int, Array]]:
         """Return the poses of each group of stations that links tie together, each in a frame of its own."""
@@ -227,8 +236,9 @@ class Growth:
         kept = [links[number] for number in checked.kept]
         groups = []
         for group in components(kept, len(self.material)):
-            start = best_linked(kept, group, self.material.free_scale)
-            groups.append(placed_by(kept, range(len(kept)), len(self.material), start))
+            free_scale = self.material.free_scale
+            start = best_linked(kept, group, free_scale)
+            groups.append(placed_by(kept, range(len(kept)), len(self.material), start, free_scale))
         return groups
 
     def spread(self) -> None:
@@ -279,11 +289,13 @@ class Growth:
             (group,) = (group for group in self.groups() if block in group)
             in_block = {station: inverse(group[block]) @ pose for station, pose in group.items()}
             lost = set(self.lost())
+            links, checked = self.checked()
+            contradicted = checked.contradicted(links)
             wanted = [
                 ordered(station, block)
                 for station in range(len(material))
                 if station not in material.blocks
-                and not self._is_held(station, block)
+                and (station in contradicted or not self._is_held(station, block))
                 and station not in self.two_places
                 and (station in lost or not turn)
             ]
@@ -307,6 +319,11 @@ class Growth:
         material = self.material
         (station,) = set(pair) - {block}
         seen = sorted((set(in_block) & sure) - {block, station})
+        places = [in_block[station]] if station in in_block else []
+        alone = self.results.get(pair, {"pose": None})["pose"]
+        if alone is not None:
+            pose = np.array(alone)
+            places.append(pose if self.direction(pair) == (station, block) else inverse(pose))
         rounds = self.config["coarse"]["rotations_per_round"]
         quick = {**self.config["coarse"], "rotations_per_round": rounds[:1]}
         prior = self._prior(np.eye(4))
@@ -321,7 +338,7 @@ class Growth:
                 "coarse": quick,
                 "known": {**self.config["known"], "prior": prior},
             },
-            "places": [in_block[station].tolist()] if station in in_block else [],
+            "places": [pose.tolist() for pose in places],
             "seen": [{"cloud": material.described[k], "pose": in_block[k].tolist()} for k in seen],
             "voxel_size": material.bodies.voxel_size,
         }
@@ -330,6 +347,7 @@ class Growth:
         """Believe what was found in the block, or give a station up that was placed and fits twice."""
         if found["pose"] is None:
             return
+        self._checked = None
         if found["verdict"] == "accepted":
             if self.direction(pair) != (station, block):
                 back = inverse(np.array(found["pose"])).tolist()
@@ -338,7 +356,7 @@ class Growth:
                     "overlap_of_target": found["overlap_of_source"],
                 }
                 found = {**found, **shares, "pose": back, "covariance": None, "middle": None}
-            self.results[pair] = {**found, "full": True}
+            self.results[pair] = {**found, "full": True, "is_only_place": True}
         elif found["verdict"] == "review" and place is not None:
             self.two_places[station] = found["reasons"][0]
 

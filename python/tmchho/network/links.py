@@ -46,6 +46,8 @@ class Link:
         How firmly; the larger of both overlaps.
     record : dict
         The rest of what `register_link` returned.
+    is_only_place : bool
+        Whether every place that the source could have in the target was compared, as `seat_station` does.
     """
 
     source: int
@@ -57,6 +59,7 @@ class Link:
     ambiguity_ratio: float
     overlap: float
     record: dict[str, Any]
+    is_only_place: bool = False
 
 
 def register_link(item: Item) -> Item:
@@ -135,6 +138,7 @@ def link_of(source: int, target: int, result: Item, voxel_size: float, target_mi
         math.inf if ratio is None else float(ratio),
         max(result["overlap_of_source"], result["overlap_of_target"]),
         result,
+        bool(result.get("is_only_place")),
     )
 
 

@@ -3,7 +3,8 @@
 Why: two equal piers are registered with each other perfectly, and nothing in the pair tells that they are
 two. The loops tell. A spanning tree of the links that most short loops confirm places the stations; every
 other link closes a loop of the tree. While loops stay open, the link that most open and fewest closed ones
-have in common is left out, the least certain of equals, and the tree is grown again.
+have in common is left out, the least certain of equals, and the tree is grown again. A link for which every
+other place was compared is more certain than one that only fits well.
 
 Sources: the idea of checking cycles is Zach, Klopschitz & Pollefeys (2010), "Disambiguating visual relations
 using loop constraints"; the search is our own, without random numbers.
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tmchho.network.links import Link
-from tmchho.network.poses import applied, displacement, inverse, motion_between, scale_of
+from tmchho.network.poses import applied, displacement, inverse, motion_between, rigid, scale_of
 
 Array = NDArray[np.float64]
 
@@ -81,6 +82,15 @@ class Checked:
     n_open: Path
     loops: tuple[Loop, ...]
 
+    def contradicted(self, links: Sequence[Link]) -> set[int]:
+        """Return the stations of which a link was left out and none is in a loop that closes."""
+        ends = {number: {link.source, link.target} for number, link in enumerate(links)}
+        found = {station for number in self.left_out for station in ends[number]}
+        for number in self.kept:
+            if self.n_loops[number] > self.n_open[number]:
+                found -= ends[number]
+        return found
+
 
 class Bodies:
     """Middles and radii of the clouds, local, and the voxel: what a misclosure is measured by."""
@@ -136,7 +146,7 @@ def check_loops(links: Sequence[Link], n_stations: int, bodies: Bodies) -> Check
         count(loop)
     support = [all_ - 2 * open_ for all_, open_ in zip(n_loops, n_open, strict=True)]
     certainty = [
-        (support[number], min(link.ambiguity_ratio, MAX_RATIO) * link.overlap, -number)
+        (support[number], link.is_only_place, min(link.ambiguity_ratio, MAX_RATIO) * link.overlap, -number)
         for number, link in enumerate(links)
     ]
     remaining = list(range(len(links)))
@@ -168,6 +178,39 @@ def check_loops(links: Sequence[Link], n_stations: int, bodies: Bodies) -> Check
             count(loop)
     loops = (*closing, *left_out.values())
     return Checked(tuple(remaining), left_out, tuple(n_loops), tuple(n_open), loops)
+
+
+def confirming_links(
+    links: Sequence[Link], checked: Checked, doubtful: Sequence[Link], n_stations: int, bodies: Bodies
+) -> list[Link]:
+    """Find links that are doubtful alone but agree with each other, where no loop has spoken yet.
+
+    Parameters
+    ----------
+    links : sequence of Link
+        Those that `checked` is about.
+    checked : Checked
+        What their loops say.
+    doubtful : sequence of Link
+        Each of a pair of its own.
+    n_stations, bodies
+        See `check_loops`.
+
+    Returns
+    -------
+    list of Link
+        As `agreeing_links` finds them between groups that nothing ties together yet, and between the two
+        groups that hang together by one link alone: they close loops with it, or tell that it is wrong.
+    """
+    kept = [links[number] for number in checked.kept]
+    found = agreeing_links(kept, doubtful, n_stations, bodies)
+    for number in checked.kept:
+        if not checked.n_loops[number]:
+            rest = [link for link in kept if link is not links[number]]
+            found += [
+                link for link in agreeing_links(rest, doubtful, n_stations, bodies) if link not in found
+            ]
+    return found
 
 
 def agreeing_links(
@@ -275,11 +318,19 @@ def components(links: Sequence[Link], n_stations: int) -> list[list[int]]:
     return sorted(groups, key=lambda group: (-len(group), group[0]))
 
 
-def placed_by(links: Sequence[Link], numbers: Sequence[int], n_stations: int, start: int) -> dict[int, Array]:
+def placed_by(
+    links: Sequence[Link],
+    numbers: Sequence[int],
+    n_stations: int,
+    start: int,
+    free_scale: frozenset[int] | None = None,
+) -> dict[int, Array]:
     """Return the poses of all stations that links lead to from a start, in the start's local frame.
 
-    The fewest links are taken, so that errors add up least.
+    The fewest links are taken, so that errors add up least. Where it is said whose scale is free, and the
+    start's is not, no other pose has a scale: on the way over a block its error would come to the next.
     """
+    has_scale = set(range(n_stations)) if free_scale is None or start in free_scale else free_scale
     neighbours = _neighbours(links, numbers, n_stations)
     poses = {start: np.eye(4)}
     waiting = [(0, start)]
@@ -290,7 +341,8 @@ def placed_by(links: Sequence[Link], numbers: Sequence[int], n_stations: int, st
                 link = links[number]
                 # The link leads from this station to the other one; poses lead to the start.
                 step = inverse(link.pose) if not backwards else link.pose
-                poses[other] = poses[station] @ step
+                pose = poses[station] @ step
+                poses[other] = pose if other in has_scale else rigid(pose)
                 heapq.heappush(waiting, (depth + 1, other))
     return poses
 

@@ -197,12 +197,14 @@ def _started(
     for group in groups:
         known = frame.within(group)
         if known.is_enough:
-            poses = placed_by(links, range(len(links)), n_stations, best_linked(links, group, free_scale))
+            middle = best_linked(links, group, free_scale)
+            poses = placed_by(links, range(len(links)), n_stations, middle, free_scale)
             start.update({**known.onto(poses), **known.fixed})
     if start:
         return start, set(frame.fixed), None
     reference = best_linked(links, groups[0], free_scale)
-    return placed_by(links, range(len(links)), n_stations, reference), {reference}, reference
+    start = placed_by(links, range(len(links)), n_stations, reference, free_scale)
+    return start, {reference}, reference
 
 
 def _nothing(frame: Frame) -> Frame:

@@ -49,6 +49,13 @@ def inverse(pose: Array) -> Array:
     return back
 
 
+def rigid(pose: Array) -> Array:
+    """Return a similarity pose with scale 1: turned alike, and its origin in the same place."""
+    found = pose.copy()
+    found[:3, :3] /= scale_of(pose)
+    return found
+
+
 def applied(pose: Array, points: Array) -> Array:
     """Return (n, 3) points, or one, moved by a pose."""
     return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])

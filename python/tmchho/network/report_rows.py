@@ -21,7 +21,11 @@ def station_rows(
     rows, material = [], growth.material
     for number, station in enumerate(stations):
         kept = [one for one in found.judged if one.kept and number in (one.link.source, one.link.target)]
-        unchecked = all(one.n_loops == 0 for one in kept)
+        unchecked = all(one.n_loops <= one.n_open for one in kept)
+        is_contradicted = any(
+            one.loop is not None and number in (one.link.source, one.link.target) for one in found.judged
+        )
+        was_compared = any(one.link.is_only_place for one in kept)
         pose = found.poses.get(number)
         if pose is None and number in growth.two_places:
             note = f"not placed: {growth.two_places[number]}"
@@ -29,6 +33,10 @@ def station_rows(
             note = "not placed: no accepted link ties it to the frame of the network"
         elif len(stations) > 2 and number not in found.held and unchecked:
             note = "no loop checks its links"
+            if was_compared:
+                note += "; of all its places in the block it was given the one that fits best"
+            elif is_contradicted:
+                note += ", which contradict each other: the one left out may be the right one"
         else:
             note = ""
         covariance = found.covariances.get(number)

@@ -212,8 +212,9 @@ class NetworkRegistration(ReadOnlyArrays):
 
     @property
     def verdict(self) -> Literal["accepted", "review", "rejected"]:
-        """One word for the network: every station placed and checked, placed at all, or not."""
-        if any(station.world_from_station is None for station in self.stations):
+        """One word for the network: all stations sure, those named not, or fewer than half of them placed."""
+        n_placed = sum(station.world_from_station is not None for station in self.stations)
+        if 2 * n_placed < len(self.stations):
             return "rejected"
         return "review" if any(station.note for station in self.stations) else "accepted"
 

@@ -36,9 +36,12 @@ MIN_SEAT_RATIO = 1.3
 SAME_PLACE_VOXELS = 5.0
 # The pose that is then registered at the best place lies as near to it as this.
 HELD_VOXELS = 2.0
-# Partners are looked for within so many voxels, round after round.
-REACHES_VOXELS = (4.0,) * 10 + (2.0,) * 10 + (1.0,) * 20
+# Partners are looked for within so many voxels, for up to so many rounds, until a round moves by less.
+REACHES_VOXELS = ((4.0, 10), (2.0, 10), (1.0, 20))
+REST_VOXELS = 2e-3
 MAX_POINTS = 4000
+# Candidates that are drawn to within this of another one on their way have the same end.
+SAME_WAY_VOXELS = 0.05
 # Tukey's biweight of residuals, by their robust standard deviation.
 TUKEY = 4.685
 # What a place explains lies within so many standard deviations of the best place's residuals.
@@ -124,7 +127,15 @@ def compare_places(
     from scipy.spatial import cKDTree
 
     tree = cKDTree(block.points)
-    drawn = [_drawn(station, block, tree, pose, voxel_size) for pose in poses]
+    sample = station.points[:: max(1, len(station.points) // MAX_POINTS)]
+    drawn = poses
+    for reach, n_rounds in REACHES_VOXELS:
+        ended: list[Array] = []
+        for pose in drawn:
+            end = _drawn(sample, block, tree, pose, voxel_size, reach, n_rounds)
+            if all(_apart(end, other, sample) > SAME_WAY_VOXELS * voxel_size for other in ended):
+                ended.append(end)
+        drawn = ended
     measured = [(pose, _residuals(station, block, tree, pose, voxel_size)) for pose in drawn]
     measured = [one for one in measured if np.isfinite(one[1]).mean() > 0.5]
     if not measured:
@@ -133,7 +144,6 @@ def compare_places(
     sigma = min(1.4826 * float(np.median(residuals)) for _, residuals in measured)
     limit = EXPLAINED_SIGMAS * max(sigma, 0.01 * voxel_size)
     shares = [(pose, float((residuals <= limit).mean())) for pose, residuals in measured]
-    sample = station.points[:: max(1, len(station.points) // MAX_POINTS)]
     places: list[tuple[Array, float]] = []
     for pose, share in sorted(shares, key=lambda one: -one[1]):
         if all(_apart(pose, other, sample) > SAME_PLACE_VOXELS * voxel_size for other, _ in places):
@@ -164,10 +174,11 @@ def _candidates(source: Array, target: Array, config: dict[str, Any]) -> list[Ar
     return [found.transformation, *(candidate.transformation for candidate in found.candidates)]
 
 
-def _drawn(station: VoxelCloud, block: VoxelCloud, tree: Any, pose: Array, voxel_size: float) -> Array:
-    """Draw a station onto the planes of a block (Chen & Medioni 1992), robustly."""
-    points = station.points[:: max(1, len(station.points) // MAX_POINTS)]
-    for reach in REACHES_VOXELS:
+def _drawn(
+    points: Array, block: VoxelCloud, tree: Any, pose: Array, voxel_size: float, reach: float, n_rounds: int
+) -> Array:
+    """Draw points onto the planes of a block (Chen & Medioni 1992), robustly, until they come to rest."""
+    for _ in range(n_rounds):
         moved = applied(pose, points)
         distance, partner = tree.query(moved, distance_upper_bound=reach * voxel_size)
         near = np.isfinite(distance)
@@ -182,7 +193,9 @@ def _drawn(station: VoxelCloud, block: VoxelCloud, tree: Any, pose: Array, voxel
         jacobian = np.hstack([np.cross(moved - middle, normals), normals])
         normal = jacobian.T @ (jacobian * weight[:, None]) + 1e-9 * np.eye(6)
         step = -np.linalg.solve(normal, jacobian.T @ (weight * residual))
-        pose = moved_by(np.append(step, 0.0), pose, middle)
+        before, pose = pose, moved_by(np.append(step, 0.0), pose, middle)
+        if _apart(pose, before, points) < REST_VOXELS * voxel_size:
+            break
     return pose
 
 

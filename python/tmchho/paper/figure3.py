@@ -124,8 +124,10 @@ def show(runs: list[Run]) -> Content:
 
 def _flattest(rows: list[dict[str, Any]]) -> str:
     ordered = sorted(rows, key=lambda row: float(row["median"]))
-    return "From the flattest to the least flat: " + listing(
-        [f"{row['map']} (median χ² {row['median']:,.1f})" for row in ordered]
+    return (
+        "From the flattest to the least flat: "
+        + listing([f"{row['map']} (median χ² {row['median']:,.1f})" for row in ordered])
+        + "."
     )
 
 

@@ -41,6 +41,7 @@ def _show_curves(runs: list[Run]) -> Content:
             panel.set_xlabel("iteration", fontsize=8)
             panel.set_ylim(bottom=0)
             panel.tick_params(labelsize=7)
+            panel.locator_params(nbins=6)
         panels[0].legend(fontsize=7)
 
     rows: list[dict[str, Any]] = [
@@ -74,7 +75,10 @@ def _show_boxes(runs: list[Run]) -> Content:
 
     def paint(_figure: Figure, panels: list[Axes]) -> None:
         for panel, (kind, model) in zip(panels, _PANELS, strict=True):
-            panel.boxplot(values(kind, model))
+            of_methods = values(kind, model)
+            panel.boxplot(of_methods, showfliers=False)
+            for place, (method, of_method) in enumerate(zip(PAPER_METHODS, of_methods, strict=True), start=1):
+                panel.plot([place] * len(of_method), of_method, ".", color=COLOURS[method], markersize=4)
             panel.set_xticks(range(1, len(PAPER_METHODS) + 1), [title(m) for m in PAPER_METHODS])
             panel.set_title(f"{model_name(chosen(runs, model=model)[0])}, {_SHORT[kind]}", fontsize=9)
             panel.tick_params(labelsize=6)
@@ -104,8 +108,8 @@ def _show_boxes(runs: list[Run]) -> Content:
         pictures=(
             draw(
                 "figure9",
-                "RMS of Eq. (1) after the search, in metres: quartiles, and the last value within 1.5 of "
-                "their distance.",
+                "RMS of Eq. (1) after the search, in metres: every run, quartiles, and the last value within "
+                "1.5 of their distance.",
                 (len(KINDS), len(MODELS)),
                 paint,
             ),

@@ -8,6 +8,7 @@ from importlib.resources import files
 
 from tmchho import __version__
 from tmchho.paper.plan import Content, Section
+from tmchho.paper.tables import Column, Table
 
 
 def page(sections: Sequence[tuple[Section, Content]], command: str) -> str:
@@ -29,5 +30,10 @@ def page(sections: Sequence[tuple[Section, Content]], command: str) -> str:
 
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["base64"] = lambda png: base64.b64encode(png).decode("ascii")
+    environment.globals["kinds"] = _kinds
     template = files("tmchho.paper").joinpath("page.html.jinja").read_text(encoding="utf-8")
     return environment.from_string(template).render(sections=sections, command=command, version=__version__)
+
+
+def _kinds(table: Table, column: Column) -> str:
+    return " ".join(filter(None, ("text" * table.is_text(column), "printed" * column.is_printed)))

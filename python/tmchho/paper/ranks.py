@@ -95,9 +95,9 @@ def show(runs: list[Run]) -> Content:
                 "Mean rank over functions and dimensions, and Friedman's test of whether the six differ.",
                 [
                     Column("algorithm", "algorithm"),
-                    Column("printed_rank", "printed averages", ".3g", is_printed=True),
-                    Column("rank_by_averages", "our averages", ".3g"),
-                    Column("rank", "our medians", ".3g"),
+                    Column("printed_rank", "printed averages", "#.3g", is_printed=True),
+                    Column("rank_by_averages", "our averages", "#.3g"),
+                    Column("rank", "our medians", "#.3g"),
                 ],
                 ranks,
             ),

@@ -7,12 +7,13 @@ busy. Only the calling thread writes down results and shows progress.
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from threading import Event
 from typing import TypeAlias
 
-from tmchho.paper.plan import Run, Series, Settings
+from tmchho.paper.plan import Job, Result, Run, Series, Settings
 from tmchho.paper.store import RunStore
 
 Progress: TypeAlias = Callable[[str, int, int], None]
@@ -45,9 +46,9 @@ def complete(series: Series, settings: Settings, store: RunStore, progress: Prog
     stop = Event()
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         try:
-            running = {pool.submit(series.run, job, stop.is_set): job for job in missing}
+            running = {pool.submit(_timed, series, job, stop): job for job in missing}
             for ended in as_completed(running):
-                store.add(running[ended], ended.result())
+                store.add(running[ended], *ended.result())
                 n_done += 1
                 progress(series.title, n_done, len(jobs))
         except BaseException:
@@ -56,3 +57,8 @@ def complete(series: Series, settings: Settings, store: RunStore, progress: Prog
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return [Run(job, result) for job in jobs if (result := store.get(job)) is not None]
+
+
+def _timed(series: Series, job: Job, stop: Event) -> tuple[Result, float]:
+    begun = time.perf_counter()
+    return series.run(job, stop.is_set), time.perf_counter() - begun

@@ -110,21 +110,37 @@ def _simulated(model: str) -> tuple[Array, Array, Array]:
 
 
 def _stanford(model: str) -> tuple[Array, Array, Array]:
-    folder = Path(os.environ["TMCHHO_DATA"]) / "stanford"
-    pairs = folder / "pairs.json"
+    pair = listed_pair(model)
+    source, target = (read(_stanford_folder() / pair[side]).xyz for side in ("source", "target"))
+    pose = np.array(pair["target_from_source"], dtype=float)
+    return source[np.isfinite(source).all(axis=1)], target[np.isfinite(target).all(axis=1)], pose
+
+
+def listed_pair(model: str) -> dict[str, Any]:
+    """Return the names of the two real scans of an object, their overlap and their pose.
+
+    Of each object that pair is taken which overlaps most.
+
+    Raises
+    ------
+    ReadError
+        If TMCHHO_DATA does not tell them.
+    """
+    pairs = _stanford_folder() / "pairs.json"
     try:
         listed: list[dict[str, Any]] = json.loads(pairs.read_text(encoding="utf-8"))
-        # Of each object the pair that overlaps most; files are called as in Stanford's repository.
-        pair = max(
+        # Files are called as in Stanford's repository.
+        found = max(
             (pair for pair in listed if pair["target"].lower().startswith(model[:3])),
             key=lambda pair: float(pair["overlap_of_source"]),
         )
-        pose = np.array(pair["target_from_source"], dtype=float)
-        names = pair["source"], pair["target"]
+        return {key: found[key] for key in ("source", "target", "overlap_of_source", "target_from_source")}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ReadError(
             f"{pairs}: does not tell a pair of scans of '{model}' ({error}); let TMCHHO_DATA name the "
             "folder of the real clouds, or unset it to run on simulated objects"
         ) from error
-    source, target = (read(folder / name).xyz for name in names)
-    return source[np.isfinite(source).all(axis=1)], target[np.isfinite(target).all(axis=1)], pose
+
+
+def _stanford_folder() -> Path:
+    return Path(os.environ["TMCHHO_DATA"]) / "stanford"

@@ -50,6 +50,18 @@ def rank_sum_p(one: Sequence[float], other: Sequence[float]) -> float:
     return float(mannwhitneyu(one, other, alternative="two-sided").pvalue)
 
 
+def signed_rank_p(one: Sequence[float], other: Sequence[float]) -> float:
+    """Return the two-sided p of Wilcoxon's signed-rank test of values that belong together in pairs.
+
+    1 where all pairs are equal and there is nothing to rank.
+    """
+    from scipy.stats import wilcoxon
+
+    if list(one) == list(other):
+        return 1.0
+    return float(wilcoxon(one, other).pvalue)
+
+
 def holm(p_values: Sequence[float]) -> list[float]:
     """Return p values corrected for being many, after Holm (1979).
 

@@ -41,8 +41,8 @@ class RunStore:
         """Return what came of a job, or None if it is still to be done."""
         return self._results.get(_key(job))
 
-    def add(self, job: Job, result: Result) -> None:
-        """Write down a finished job.
+    def add(self, job: Job, result: Result, seconds: float) -> None:
+        """Write down a finished job, and how long it took, which is for people only.
 
         Raises
         ------
@@ -50,7 +50,8 @@ class RunStore:
             If the line cannot be written.
         """
         # What is remembered is what a later reading of the line will give.
-        line = json.dumps({"version": __version__, "job": job, "result": result})
+        entry = {"version": __version__, "seconds": round(seconds, 3), "job": job, "result": result}
+        line = json.dumps(entry)
         try:
             # In one write, so that a kill can only cut the last line short.
             with self._path.open("ab", buffering=0) as stream:

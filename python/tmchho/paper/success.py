@@ -81,7 +81,7 @@ def show(runs: list[Run]) -> Content:
         order = sorted(of_kind, key=lambda row: -row["right"])
         findings.append(
             f"With {KIND_NAMES[kind]}: "
-            + listing([f"{row['method']} {row['right'] / row['runs']:.0%}" for row in order])
+            + listing([f"{row['method']} {100 * row['right'] / row['runs']:.0f} %" for row in order])
             + "."
         )
         by_name = {row["method"]: row for row in of_kind}

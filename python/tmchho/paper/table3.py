@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 
 from tmchho.paper.methods import PAPER_METHODS, title
 from tmchho.paper.plan import Content, Run, Section, Series
@@ -17,6 +17,8 @@ Cell = tuple[str, int, str]
 """Function, dimension and method."""
 
 _NEAR_DECADES = 2.0
+# More cells of one method than these are counted, not named.
+_FEW = 6
 
 SERIES = Series(
     "functions of Table 1",
@@ -56,6 +58,7 @@ def table(runs: list[Run]) -> Table:
         ours = summary([run.result["fun"] for run in of_cell])
         row = {"function": function, "dimension": dimension, "algorithm": title(method), **ours}
         row |= {f"printed_{name}": printed_number(printed, name) for name in STATISTICS}
+        row["decades"] = _decades((function, dimension, method), ours["median"])
         row["evaluations"] = summary([run.result["n_evaluations"] for run in of_cell])["ave"]
         row["runs"] = len(of_cell)
         rows.append(row)
@@ -64,9 +67,11 @@ def table(runs: list[Run]) -> Table:
         columns.append(Column(f"printed_{name}", f"{name.title()}, printed", ".2e", is_printed=True))
         columns.append(Column(name, f"{name.title()}, here", ".2e"))
     columns.append(Column("median", "Median, here", ".2e"))
+    columns.append(Column("decades", "log₁₀ of it by Ave, printed", "+.1f"))
     columns.append(Column("evaluations", "evaluations a run", ",.0f"))
     columns.append(Column("runs", "runs"))
-    return Table("table3", "Lowest value found, over the runs of each row.", columns, rows)
+    caption = "Lowest value found, over the runs of each row."
+    return Table("table3", caption, columns, rows, n_group_columns=2)
 
 
 def show(runs: list[Run]) -> Content:
@@ -81,8 +86,10 @@ def show(runs: list[Run]) -> Content:
             "the printed Std is that of a sample. Population: 30, as in Section 5.2. Iterations: 100, which "
             "came closest to the printed values; the 500 of Section 5.2 go tens of powers of ten below them "
             "(docs/paper_map.md, reading 4; try it by --iterations).",
-            "Values spread over many powers of ten, so that a single run decides an average. The median is "
-            "shown beside it, and is what the comparisons below rest on.",
+            "Values spread over many powers of ten, so that a single run decides an average, and the median "
+            "lies far below it. The median is shown beside it, and is what the comparisons rest on.",
+            "DOA draws three numbers once for all of a run; by these its runs spread over a hundred powers "
+            "of ten, and none of its medians comes near an average.",
             (
                 "Equal iterations are not equal cost: see the column of evaluations, and the page “equal "
                 "budgets”."
@@ -98,10 +105,13 @@ def show(runs: list[Run]) -> Content:
 
 def _findings(runs: list[Run]) -> list[str]:
     cells = medians(runs)
-    found = [
-        _nearness("average", medians(runs, "ave")),
-        _nearness("median", cells),
-    ]
+    averages = medians(runs, "ave")
+    found = [_nearness("median", cells), _nearness("average", averages)]
+    neither = [cell for cell in cells if not (_is_near(cell, cells[cell]) or _is_near(cell, averages[cell]))]
+    found.append(
+        "Neither the one nor the other, of HHO, TMCHHO, WOA and BOA: "
+        f"{_places([cell for cell in neither if cell[2] not in ('pso', 'doa')]) or 'none'}."
+    )
     problems = sorted({cell[:2] for cell in cells})
     zero = [
         f"{function}, D = {dimension}"
@@ -120,7 +130,6 @@ def _findings(runs: list[Run]) -> list[str]:
         f"In the median TMCHHO is lower than HHO on {len(better)} of {len(problems)} functions and "
         f"dimensions, higher on {len(worse)}, equal on {len(problems) - len(better) - len(worse)}."
     )
-    averages = medians(runs, "ave")
     printed = {cell: value for cell in cells if (value := printed_average(cell)) is not None}
     found.append(
         f"Of {len(problems)} functions and dimensions TMCHHO is the lowest of the six, alone or with others, "
@@ -131,20 +140,34 @@ def _findings(runs: list[Run]) -> list[str]:
 
 
 def _nearness(statistic: str, cells: dict[Cell, float]) -> str:
-    far = Counter(title(cell[2]) for cell, value in cells.items() if not _is_near(cell, value))
+    far = [cell for cell, value in cells.items() if not _is_near(cell, value)]
     text = (
         f"Our {statistic} lies within {_NEAR_DECADES:g} powers of ten of the printed average in "
-        f"{len(cells) - sum(far.values())} of {len(cells)} cells"
+        f"{len(cells) - len(far)} of {len(cells)} cells"
     )
-    missed = listing([f"{method} in {n}" for method, n in far.items()])
-    return f"{text}; not so: {missed}." if far else f"{text}."
+    return f"{text}; not so: {_places(far)}." if far else f"{text}."
+
+
+def _places(cells: list[Cell]) -> str:
+    """Return cells by method, counted where there are many of one."""
+    of_methods: dict[str, list[str]] = {}
+    for function, dimension, method in cells:
+        of_methods.setdefault(title(method), []).append(f"{function} ({dimension})")
+    return "; ".join(
+        f"{method} on {listing(places) if len(places) <= _FEW else f'{len(places)} cells'}"
+        for method, places in of_methods.items()
+    )
+
+
+def _decades(cell: Cell, value: float) -> float | None:
+    """Return by how many powers of ten a value is above the printed average; None where either is 0."""
+    printed = printed_average(cell)
+    return log10(value) - log10(printed) if printed and value else None
 
 
 def _is_near(cell: Cell, value: float) -> bool:
-    printed = printed_average(cell)
-    if printed is None or 0 in (value, printed):
-        return value == printed
-    return abs(log10(value) - log10(printed)) <= _NEAR_DECADES
+    decades = _decades(cell, value)
+    return value == printed_average(cell) if decades is None else abs(decades) <= _NEAR_DECADES
 
 
 def _n_led(cells: dict[Cell, float]) -> int:

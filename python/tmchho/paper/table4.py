@@ -8,8 +8,8 @@ from tmchho.paper.methods import PAPER_METHODS, title
 from tmchho.paper.plan import Content, Run, Section
 from tmchho.paper.printed import printed_number, printed_row
 from tmchho.paper.registrations import ITERATIONS, SERIES
-from tmchho.paper.scans import KINDS, MODELS
-from tmchho.paper.statistics import STATISTICS, rank_sum_p, summary
+from tmchho.paper.scans import KINDS, MODELS, listed_pair
+from tmchho.paper.statistics import STATISTICS, rank_sum_p, signed_rank_p, summary
 from tmchho.paper.tables import Column, Table
 from tmchho.paper.words import evaluations_by_method, how_searched, listing, p_text
 
@@ -17,6 +17,8 @@ from tmchho.paper.words import evaluations_by_method, how_searched, listing, p_t
 # poses of real scans allow.
 COARSE_DEG, COARSE_SHARE = 5.0, 0.02
 FINE_DEG, FINE_SHARE = 2.0, 0.01
+# Section 5.2.
+PRINTED_RUNS = 20
 KIND_NAMES = {"copy": "a scan and its moved copy", "pair": "two scans"}
 
 
@@ -35,7 +37,12 @@ def is_right(run: Run) -> tuple[bool, bool]:
 def clouds_of(runs: list[Run]) -> str:
     """Return whose clouds they are, as a sentence."""
     if runs[0].job["clouds"] == "stanford":
-        return "Clouds: range scans of Stanford's repository, from TMCHHO_DATA."
+        pairs = [listed_pair(model) for model in MODELS]
+        named = [f"{p['source']} on {p['target']} ({100 * p['overlap_of_source']:.0f} %)" for p in pairs]
+        return (
+            "Clouds: range scans of Stanford's repository, from TMCHHO_DATA. Two scans, and how much of the "
+            f"first the second shows: {listing(named)}; the copy is that of the second."
+        )
     return (
         "Clouds: SIMULATED OBJECTS, because TMCHHO_DATA is not set. They stand in for Stanford's scans, "
         "have nothing to do with the objects whose names the rows have, and are not to be compared with "
@@ -69,8 +76,9 @@ def how(runs: list[Run]) -> tuple[str, ...]:
     return (
         clouds_of(runs),
         how_searched(searches, ITERATIONS)
-        + " Each run moves the source anew: turned evenly over all rotations, shifted by "
-        "up to one diagonal. In a run all methods get the same start.",
+        + f" The paper has {PRINTED_RUNS} runs (--runs {PRINTED_RUNS}). Each run moves the source anew: "
+        "turned evenly over all rotations, shifted by up to one diagonal. In a run all methods get the same "
+        "start.",
         evaluations_by_method(searches),
     )
 
@@ -128,6 +136,7 @@ def show(runs: list[Run]) -> Content:
                 ),
                 columns,
                 rows(runs),
+                n_group_columns=2,
             ),
         ),
         findings=tuple(_findings(runs)),
@@ -157,19 +166,28 @@ def _findings(runs: list[Run]) -> list[str]:
             f"With {KIND_NAMES[kind]}: the average RMS of TMCHHO is lower than that of HHO by "
             f"{listing(gains)}. Lowest average of the six: {listing(lowest)}."
         )
+        one, other = (
+            [run.result["rms"] for run in chosen(here, method=method)] for method in ("tmchho", "hho")
+        )
+        lower = sum(a < b for a, b in zip(one, other, strict=True))
+        found.append(
+            f"With {KIND_NAMES[kind]}, start by start: TMCHHO is lower than HHO in {lower} of {len(one)} "
+            f"(Wilcoxon's signed-rank test over all objects: {p_text(signed_rank_p(one, other))})."
+        )
         right = []
         for method in (*PAPER_METHODS, "robust"):
             of_method = chosen(here, method=method)
             right.append(f"{title(method)} {sum(is_right(r)[1] for r in of_method)} of {len(of_method)}")
         found.append(f"With {KIND_NAMES[kind]}, right in the end: {listing(right)}.")
+    of_pairs = [run for run in chosen(runs, kind="pair") if run.job["method"] in PAPER_METHODS]
     below = [
-        f"{model_name(run)}"
-        for run in chosen(runs, kind="pair", method="tmchho")
+        f"{title(run.job['method'])} on {model_name(run)}"
+        for run in of_pairs
         if run.result["rms"] < run.result["true_rms"] and not is_right(run)[0]
     ]
     found.append(
-        "Two scans, TMCHHO: wrong poses whose RMS is lower than that of the true pose: "
-        f"{len(below)}{' (' + listing(list(dict.fromkeys(below))) + ')' if below else ''}."
+        f"With two scans {len(below)} of {len(of_pairs)} searches ended at a wrong pose and a lower RMS "
+        f"than at the true one{': ' + listing(list(dict.fromkeys(below))) if below else ''}."
     )
     return found
 

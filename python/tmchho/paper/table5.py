@@ -100,6 +100,7 @@ def _show_table(runs: list[Run]) -> Content:
                 "RMS from the source's voxel centroids to the target's in the end, in metres.",
                 columns,
                 table,
+                n_group_columns=2,
             ),
         ),
         findings=(
@@ -139,6 +140,8 @@ def _show_figure(runs: list[Run]) -> Content:
             word = "right" if is_right(run)[1] else "wrong"
             panel.set_title(f"{model_name(run)}, {_NAMES[place[1]]}: {word}", fontsize=9)
             panel.set_aspect("equal")
+            panel.locator_params(axis="x", nbins=3)
+            panel.locator_params(axis="y", nbins=5)
             panel.tick_params(labelsize=6)
 
     right = [f"{_NAMES[m]} {sum(is_right(first[o, m])[1] for o in MODELS)} of {len(MODELS)}" for m in methods]

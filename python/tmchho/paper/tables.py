@@ -59,6 +59,8 @@ class Table:
         One value for each column; a missing one is None.
     on_page : bool
         Whether the page shows it; curves are files only.
+    n_group_columns : int
+        Rows that agree in so many of the first columns belong together; the page draws a line between others.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Table:
     columns: Sequence[Column]
     rows: Sequence[Mapping[str, Any]]
     on_page: bool = True
+    n_group_columns: int = 1
 
     def csv(self) -> str:
         """Return the table as CSV: every digit, nothing for None."""
@@ -75,6 +78,10 @@ class Table:
         for row in self.rows:
             writer.writerow([_exact(row.get(column.key)) for column in self.columns])
         return stream.getvalue()
+
+    def is_text(self, column: Column) -> bool:
+        """Return whether a column holds words, which the page sets to the left."""
+        return all(isinstance(row.get(column.key), (str, type(None))) for row in self.rows)
 
     def texts(self) -> list[list[str]]:
         """Return the cells as the page shows them."""

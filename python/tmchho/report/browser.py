@@ -97,7 +97,12 @@ def print_to_pdf(browser: str, page: str, path: Path) -> None:
         try:
             done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise WriteError(f"{path}: {browser} could not print it ({error})") from error
+            raise WriteError(
+                f"{path}: {browser} could not print it ({error}); open {html.name} in a browser and print it"
+            ) from error
     if done.returncode != 0 or not path.exists():
         last = done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
-        raise WriteError(f"{path}: {browser} did not print it ({' '.join(last) or done.returncode})")
+        raise WriteError(
+            f"{path}: {browser} did not print it ({' '.join(last) or done.returncode}); open {html.name} in "
+            "a browser and print it"
+        )

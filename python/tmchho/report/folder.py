@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Mapping
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from tmchho.errors import ReadError
 from tmchho.io import check_output
 from tmchho.outputs import FIGURES, FUSED, REPORT, REPORT_PDF, REPORT_POINTS, RESULT, write_together
 from tmchho.report.browser import find_browser, print_to_pdf
@@ -17,6 +14,7 @@ from tmchho.report.change import load_change
 from tmchho.report.fused_points import points_of_fused_file
 from tmchho.report.page import make_page
 from tmchho.report.points import ReportPoints
+from tmchho.report.stored import day_of, read_document
 from tmchho.report.template import require_extras
 
 
@@ -65,7 +63,7 @@ def write_report(
     check_output(folder / REPORT, overwrite)
     stored = _points(folder, document)
     page, charts = make_page(
-        document, stored, _day(folder / RESULT), load_change(folder, document["transformation"])
+        document, stored, day_of(folder / RESULT), load_change(folder, document["transformation"])
     )
 
     files: dict[str, Callable[[Path], object]] = {
@@ -102,20 +100,9 @@ def read_result(folder: Path) -> Mapping[str, Any]:
     ReadError
         If it is missing, damaged or of something else.
     """
-    path = folder / RESULT
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ReadError(
-            f"{path}: cannot be read ({error.strerror}); give the folder that tmchho register wrote into"
-        ) from error
-    except ValueError as error:
-        raise ReadError(f"{path}: is not JSON ({error}); register once more") from error
-    needed = ("verdict", "reasons", "transformation", "inputs", "config", "stages")
-    if not isinstance(document, dict) or any(key not in document for key in needed):
-        raise ReadError(f"{path}: is not the result of a registration; give a folder of tmchho register")
-    return document
-
-
-def _day(path: Path) -> str:
-    return datetime.fromtimestamp(path.stat().st_mtime, tz=timezone.utc).strftime("%-d %B %Y")
+    return read_document(
+        folder / RESULT,
+        needed=("verdict", "reasons", "transformation", "inputs", "config", "stages"),
+        what="registration",
+        command="tmchho register",
+    )

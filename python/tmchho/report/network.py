@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tmchho.errors import ReadError
 from tmchho.io import check_output
 from tmchho.outputs import REPORT, write_together
 from tmchho.report import words
 from tmchho.report.network_map import network_map, place_of, sigma_chart
 from tmchho.report.page import settings_lines
+from tmchho.report.stored import day_of, read_document
 from tmchho.report.template import render, require_extras
 from tmchho.report.words import BLANK
 
@@ -32,12 +30,12 @@ _VERDICTS = {
         "Every station is placed, and held by links that confirm each other.",
     ),
     "review": (
-        "A person must look before the network is used.",
-        "Every station is placed, but something that would make some of them sure is missing.",
+        "A person must look at the stations named here before they are used.",
+        "All others are placed, and held by links that confirm each other.",
     ),
     "rejected": (
-        "Not all stations could be placed.",
-        "What was placed can be used; the stations named here hang on nothing that can be trusted.",
+        "Fewer than half of the stations could be placed.",
+        "Most clouds share too little with each other to be one network.",
     ),
 }
 _PAIR_VERDICTS = {"accepted": "accepted", "review": "to be looked at", "rejected": "rejected"}
@@ -71,8 +69,7 @@ def write_network_report(folder: str | os.PathLike[str], *, overwrite: bool = Tr
     folder = Path(folder)
     document = read_network(folder)
     check_output(folder / REPORT, overwrite)
-    day = datetime.fromtimestamp((folder / NETWORK).stat().st_mtime, tz=timezone.utc)
-    page = network_page(document, f"{day.day} {day:%B %Y}")
+    page = network_page(document, day_of(folder / NETWORK))
     files: dict[str, Callable[[Path], object]] = {
         REPORT: lambda path: path.write_text(page, encoding="utf-8", newline="\n")
     }
@@ -88,19 +85,12 @@ def read_network(folder: Path) -> Mapping[str, Any]:
     ReadError
         If it is missing, damaged or of something else.
     """
-    path = folder / NETWORK
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ReadError(
-            f"{path}: cannot be read ({error.strerror}); give the folder that tmchho network wrote into"
-        ) from error
-    except ValueError as error:
-        raise ReadError(f"{path}: is not JSON ({error}); run the network once more") from error
-    needed = ("verdict", "stations", "links", "loops")
-    if not isinstance(document, dict) or any(key not in document for key in needed):
-        raise ReadError(f"{path}: is not the result of a network; give a folder of tmchho network")
-    return document
+    return read_document(
+        folder / NETWORK,
+        needed=("verdict", "stations", "links", "loops"),
+        what="network",
+        command="tmchho network",
+    )
 
 
 def network_page(document: Mapping[str, Any], date: str | None) -> str:

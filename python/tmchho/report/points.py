@@ -119,7 +119,9 @@ class ReportPoints:
             with np.load(path, allow_pickle=False) as file:
                 values: dict[str, Any] = {field.name: file[field.name] for field in fields(cls)}
         except OSError as error:
-            raise ReadError(f"{path}: cannot be read ({error.strerror or error})") from error
+            raise ReadError(
+                f"{path}: cannot be read ({error.strerror or error}); check the rights"
+            ) from error
         except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise ReadError(f"{path}: does not hold the points of a report; register once more") from error
         return cls(

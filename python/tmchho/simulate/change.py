@@ -46,7 +46,10 @@ def lower_ground(site: Site, area: Area, depth_m: float) -> Site:
     y: np.ndarray = ground.south + ground.cell_m * np.arange(n_y)
     inside = area.contains(*np.meshgrid(x, y))
     if not inside.any():
-        raise InvalidArgumentError(f"area {area} holds no ground of the site")
+        raise InvalidArgumentError(
+            f"area {area} holds no ground of the site; give one within {x[0]:g} to {x[-1]:g} m east and "
+            f"{y[0]:g} to {y[-1]:g} m north"
+        )
     lowered = replace(ground, heights=np.where(inside, ground.heights - depth_m, ground.heights))
     drop = np.array([0.0, 0.0, -depth_m])
     solids = (
@@ -81,7 +84,9 @@ def move_machine(site: Site, area: Area, shift: tuple[float, float]) -> Site:
     east, north = (checked_number("shift", value) for value in shift)
     moving = [solid.material != Material.BOULDER and _stands_in(area, solid) for solid in site.solids]
     if not any(moving):
-        raise InvalidArgumentError(f"in area {area} stands nothing but boulders")
+        raise InvalidArgumentError(
+            f"in area {area} stands nothing but boulders; give one where a machine stands"
+        )
     middle = np.mean(
         [solid.centre for solid, moves in zip(site.solids, moving, strict=True) if moves], axis=0
     )

@@ -25,8 +25,7 @@ from tmchho.simulate.stations import INSTRUMENT_HEIGHT_M
 
 # Stations are this far apart, by their reach: neighbours then share a third to half of what they see.
 SPACING_BY_REACH = 0.85
-# A pier, and the pad that is levelled round it.
-PIER_REACH_M = 17.0
+# The pad that is levelled round a pier.
 PAD_M, PAD_RIM_M = 20.0, 26.0
 SMALL_TILT_RAD = np.deg2rad(2.0)
 
@@ -62,6 +61,7 @@ def make_network(
     block_scale: float = 1.0,
     frames: Literal["random", "levelled"] = "random",
     equal_piers: bool = False,
+    pier_reach_m: float = 17.0,
     seed: int = 0,
 ) -> SimulatedNetwork:
     """Survey a dam site from tripod places spread over it, and from the air.
@@ -81,8 +81,11 @@ def make_network(
     frames : {'random', 'levelled'}
         How the clouds are turned: evenly over all rotations, or about the vertical with a tilt of up to 2°.
     equal_piers : bool, default False
-        Build the same pier twice, each scanned from the same side by one more station that sees little else:
-        the two scans look alike though they share nothing.
+        Build the same pier twice, each scanned from the same side by one more station: the two scans look
+        alike though they share nothing.
+    pier_reach_m : float, default 17
+        How far these two see, in metres; 10 to 200. With 17 m they see little but pier and pad, which are the
+        same; with 27 m a sixth of a scan is what lies about them, which is not.
     seed : int, default 0
         Fixes everything.
 
@@ -99,6 +102,7 @@ def make_network(
     reach_m = checked_number("reach_m", reach_m, 10.0, 200.0)
     n_points = checked_n_points("n_points", n_points)
     n_block_points = checked_count("n_block_points", n_block_points, 0, 50_000_000)
+    pier_reach_m = checked_number("pier_reach_m", pier_reach_m, 10.0, 200.0)
     block_scale = checked_number("block_scale", block_scale, 0.1, 10.0)
     checked_choice("frames", frames, ("random", "levelled"))
     seed = checked_seed(seed)
@@ -112,7 +116,7 @@ def make_network(
     names += ["pier A", "pier B"] if equal_piers else []
     clouds, poses = [], []
     for number, (name, eye) in enumerate(zip(names, eyes, strict=True)):
-        reach = PIER_REACH_M if number >= n_stations else reach_m
+        reach = pier_reach_m if number >= n_stations else reach_m
         # Nothing farther than the reach is seen or in the way; a smaller scene is traced sooner.
         window = Area(eye[0] - reach, eye[1] - reach, eye[0] + reach, eye[1] + reach)
         area = site.scanner_area
@@ -154,7 +158,9 @@ def _spread_places(site: Site, count: int, seed: int) -> list[Array]:
         good &= np.hypot(x - solid.centre[0], y - solid.centre[1]) > solid.radius_m + 1.0
     places = np.column_stack([x, y])[good]
     if len(places) < count:
-        raise InvalidArgumentError(f"n_stations: only {len(places)} level places found, {count} wanted")
+        raise InvalidArgumentError(
+            f"n_stations: only {len(places)} level places found, {count} wanted; ask for fewer"
+        )
     chosen = [0]
     apart = np.linalg.norm(places - places[0], axis=1)
     for _ in range(count - 1):

@@ -54,7 +54,9 @@ def place_stations(site: Site, count: int, *, seed: int = 0) -> Array:
         good &= np.hypot(x - solid.centre[0], y - solid.centre[1]) > solid.radius_m + 1.0
     eyes = _instruments(site, np.stack([x, y], axis=1)[good][:N_CANDIDATES])
     if len(eyes) < count:
-        raise InvalidArgumentError(f"stations: only {len(eyes)} level places found, {count} wanted")
+        raise InvalidArgumentError(
+            f"stations: only {len(eyes)} level places found, {count} wanted; ask for fewer"
+        )
 
     density = _expected_density(site, eyes)
     total = np.zeros(density.shape[1])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,7 @@ from numpy.typing import NDArray
 from tmchho.cloud import PointCloud
 from tmchho.evaluation.change import change_cloud
 from tmchho.evaluation.colours import ColourScale
-from tmchho.evaluation.distances import SIGNED
-from tmchho.evaluation.files import FORMS, NAMES, tables
+from tmchho.evaluation.files import CHANGE, FORMS, file_name, in_form, measure, tables
 from tmchho.evaluation.lengths import quantile_of_parts
 from tmchho.io import las_parts, writing_las
 from tmchho.io.las_grid import Grid, fitted_grid
@@ -27,13 +25,11 @@ from tmchho.io.text import writing_csv_parts
 from tmchho.outputs import write_together
 from tmchho.streams.change import StreamedChange
 from tmchho.streams.evaluate import StreamedEvaluation
-from tmchho.streams.pair import about_middle
+from tmchho.transform import about_middle
 
 Floats = NDArray[np.float64]
 Parts = Iterator[tuple[PointCloud, NDArray[np.bool_] | None]]
 Put = Callable[[PointCloud], None]
-
-_CHANGE = "M3C2_distance"
 
 
 def write_streamed_evaluation(
@@ -70,8 +66,7 @@ def write_streamed_evaluation(
         If one of them cannot be written; then none stays behind.
     """
     chosen = tuple(forms)
-    name = _CHANGE if isinstance(result, StreamedChange) else NAMES[result.method]
-    is_signed = isinstance(result, StreamedChange) or result.method in SIGNED
+    name, is_signed = measure(None if isinstance(result, StreamedChange) else result.method)
     usual = quantile_of_parts(lambda: _amounts(result), 0.95)
     scale = ColourScale.reaching(
         0.0 if np.isnan(usual) else usual, is_signed=is_signed, tolerance=result.tolerance
@@ -79,18 +74,15 @@ def write_streamed_evaluation(
     counts = np.zeros(len(scale.colours) + 3, dtype=np.int64)
     made: list[str] = []
     for direction, parts, n_points, kept, grid in _clouds(result, source, target, matrix, name):
-        names = [_file_name(direction, form) for form in chosen]
+        names = [file_name(direction, form) for form in chosen]
         made += names
         with ExitStack() as stack:
             writers: list[Put] = []
             for cloud, significant in parts:
                 colours = scale.apply(cloud.attributes[name], significant)
                 counts += scale.counts(cloud.attributes[name], significant)
-                shown = replace(cloud, attributes={**cloud.attributes, **colours})
                 for number, form in enumerate(chosen):
-                    given = shown if form.startswith("coloured") else cloud
-                    if form == "csv" and direction != "change":  # as text, attributes take ten times the room
-                        given = replace(cloud, attributes={name: cloud.attributes[name]})
+                    given = in_form(cloud, direction, form, colours, name)
                     if number == len(writers):
                         path = scratch / names[number]
                         stack.enter_context(writing_las(path))
@@ -124,7 +116,7 @@ def _clouds(
 ) -> Iterator[tuple[str, Parts, int, dict[str, Any], Grid]]:
     """Give each cloud that is written: its name, parts, number of points, the layout to keep, the grid."""
     if isinstance(result, StreamedChange):
-        yield "change", _cores(result, target), result.n_cores, _kept(target), _grid(target)
+        yield CHANGE, _cores(result, target), result.n_cores, _kept(target), _grid(target)
         return
     standing = np.array_equal(matrix, np.eye(4))
     header = source.header
@@ -168,11 +160,6 @@ def _kept(file: LasPoints) -> dict[str, Any]:
 
 def _grid(file: LasPoints) -> Grid:
     return Grid(np.array(file.header.scales), np.array(file.header.offsets))
-
-
-def _file_name(direction: str, form: str) -> str:
-    extension = form.rpartition("-")[2]
-    return f"{direction}_coloured.{extension}" if form.startswith("coloured") else f"{direction}.{extension}"
 
 
 def _writer(path: Path, first: PointCloud, n_points: int, kept: dict[str, Any], grid: Grid) -> Any:

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tmchho.io.las_stream import LasPoints
-from tmchho.results import pose_matrix
 from tmchho.streams.memory import n_centroids, n_tile_points
 from tmchho.streams.thin import ThinnedFile, thin_file
 from tmchho.streams.tiles import Cuts, TiledFile, cut_space, sort_into_tiles
-from tmchho.transform import Transform
+from tmchho.transform import about_middle
 
 Floats = NDArray[np.float64]
 
@@ -58,14 +57,6 @@ def tile_pair(
         cuts=cuts,
         voxel_size=max(thinned[0].voxel_size * transform.scale, thinned[1].voxel_size),
     )
-
-
-def about_middle(matrix: Floats, middle: Floats) -> Transform:
-    """Return a pose stated about the middle of the source, so that nothing is lost at national-grid size."""
-    checked = pose_matrix(matrix)
-    turned = np.eye(4)
-    turned[:3, :3] = checked[:3, :3]
-    return Transform.about(turned, middle, checked[:3, :3] @ middle + checked[:3, 3])
 
 
 def tiles_of(tiled: TiledFile, n_tiles: int) -> Iterator[tuple[Floats, NDArray[np.uint32]]]:

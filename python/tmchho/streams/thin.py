@@ -106,7 +106,8 @@ def thin_file(
         voxels.add(np.ascontiguousarray(xyz))
     if n_kept == 0:
         raise InvalidCloudError(
-            f"{file.path}: no point is left in the crop and the classes that were asked for"
+            f"{file.path}: no point is left in the crop and the classes that were asked for; "
+            "`tmchho info` tells its box and classes"
         )
     found: dict[str, Any] = voxels.finish()
     return ThinnedFile(

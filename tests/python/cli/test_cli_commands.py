@@ -1,4 +1,4 @@
-"""The other commands: evaluate, info, demo, config, and the help."""
+"""The other commands: evaluate, info, demo, config."""
 
 from __future__ import annotations
 
@@ -131,14 +131,6 @@ def test_demo_compares_with_the_truth(tmp_path: Path) -> None:
     for word in ("accepted", "rotation", "overlap", "voxel edge", "simulate"):
         assert word in result.stdout.lower()
     assert_refused(run("demo", "-o", folder), 5, "exists already", "--overwrite")
-
-
-def test_help_and_version() -> None:
-    assert run("--version").stdout == f"tmchho {tmchho.__version__}\n"
-    for command in ((), ("register",)):
-        text = run(*command, "--help").stdout
-        assert "130  interrupted" in text
-        assert "4    not accepted" in text
 
 
 def test_the_printed_configuration_can_be_used(tmp_path: Path) -> None:

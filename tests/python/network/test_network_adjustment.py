@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -15,8 +17,8 @@ from tmchho.network.adjust import (
     standard_errors,
 )
 from tmchho.network.links import Link
-from tmchho.network.loops import Bodies, check_loops, components, placed_by
-from tmchho.network.poses import applied, inverse, moved_by
+from tmchho.network.loops import Bodies, check_loops, components, confirming_links, placed_by
+from tmchho.network.poses import applied, inverse, moved_by, scale_of
 
 Array = np.ndarray
 VOXEL = 0.1
@@ -78,6 +80,42 @@ def test_of_one_open_loop_the_least_certain_link_is_left_out() -> None:
     wrong = pose([0.0, 0.0, 1.0], [0.0, 0.0, 0.0])
     links = [link(0, 1), link(1, 2, wrong, ratio=1.8), link(2, 0)]
     assert list(check_loops(links, 4, BODIES).left_out) == [1]
+
+
+def test_a_link_whose_other_places_were_compared_is_believed_before_one_that_fits_well() -> None:
+    wrong = pose([0.0, 0.0, 0.0], [8.0, 0.0, 0.0])
+    links = [link(0, 1, ratio=100.0), link(1, 2, wrong, ratio=9.0), link(2, 0, ratio=1.4)]
+    assert list(check_loops(links, 4, BODIES).left_out) == [2]
+    links[2] = replace(links[2], is_only_place=True)
+    checked = check_loops(links, 4, BODIES)
+    assert list(checked.left_out) == [1]
+    # All three have but this open loop to speak for them; another that closes settles it for its stations.
+    assert checked.contradicted(links) == {1, 2}
+    more = [*links, link(0, 3), link(3, 1)]
+    assert check_loops(more, 4, BODIES).contradicted(more) == {2}
+
+
+def test_two_doubtful_links_that_agree_overrule_one_that_alone_ties_a_station() -> None:
+    wrong = pose([0.0, 0.0, 0.2], [8.0, 0.0, 0.0])
+    links = [link(0, 1), link(1, 2), link(2, 0), link(3, 0, wrong, ratio=100.0)]
+    checked = check_loops(links, 4, BODIES)
+    assert not checked.left_out
+    elsewhere = link(3, 2, pose([0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
+    assert confirming_links(links, checked, [link(3, 1), elsewhere], 4, BODIES) == []
+    doubtful = [link(3, 1), link(2, 3), link(0, 2, wrong)]
+    confirming = confirming_links(links, checked, doubtful, 4, BODIES)
+    assert confirming == doubtful[:2]
+    assert list(check_loops([*links, *confirming], 4, BODIES).left_out) == [3]
+
+
+def test_on_the_way_over_a_block_no_station_gets_its_scale() -> None:
+    to_block = Link(1, 0, pose([0, 0, 0.1], [1, 2, 3], 0.5), np.eye(7), MIDDLES[0], "accepted", 5, 0.5, {})
+    to_next = Link(0, 2, pose([0, 0, 0.1], [1, 2, 3], 2.1), np.eye(7), MIDDLES[2], "accepted", 5, 0.5, {})
+    placed = placed_by([to_block, to_next], [0, 1], 3, 1, frozenset({0}))
+    assert [scale_of(placed[k]) for k in range(3)] == pytest.approx([2.0, 1.0, 1.0])
+    bare = placed_by([to_block, to_next], [0, 1], 3, 1)
+    assert scale_of(bare[2]) == pytest.approx(2.0 / 2.1)
+    np.testing.assert_allclose(placed[2][:3, 3], bare[2][:3, 3])
 
 
 def test_true_links_are_all_kept_and_every_loop_of_a_basis_is_told() -> None:

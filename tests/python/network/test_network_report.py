@@ -36,7 +36,7 @@ def rows_of(page: str, caption: str) -> list[list[str]]:
 
 def test_a_lost_station_and_a_wrong_link_stand_first() -> None:
     page = page_of(is_wrong=True)
-    assert '<section class="verdict rejected"' in page
+    assert '<section class="verdict review"' in page
     reasons = re.findall(r"<li>([^<]*)</li>", page.split('aria-label="Reasons"')[1].split("</ul>")[0])
     assert reasons[0] == "S04: no link to it was kept."
     assert "S01 – S07" in reasons[1].replace(BLANK, " ")

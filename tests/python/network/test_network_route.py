@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tmchho.errors import InvalidArgumentError, NoSolutionError
 from tmchho.network import NetworkRegistration, Station, StationControl, register_network
-from tmchho.network.engine import InProcess
+from tmchho.network.engine import InProcess, Item, Unit
 from tmchho.network.poses import applied, inverse
 from tmchho.simulate import SimulatedNetwork, make_network, make_site, random_pose, survey_scanner
 
@@ -51,8 +55,11 @@ def displacement(name: str, pose: Array, wanted: Array) -> float:
 
 
 def test_all_stations_lie_within_a_third_of_a_voxel() -> None:
-    network = found()
-    assert network.verdict == "accepted", network.summary()
+    assert found().verdict == "accepted", found().summary()
+    assert_all_right(found())
+
+
+def assert_all_right(network: NetworkRegistration) -> None:
     (reference,) = [station.name for station in network.stations if station.fixed]
     world_from_network = truth()[reference] @ inverse(network.pose(reference))
     for station in network.stations:
@@ -73,6 +80,41 @@ def test_links_loops_and_errors_are_told() -> None:
         assert (station.sigma_point_m == 0) == station.fixed
         assert station.sigma_point_m < network.voxel_size / 3
     assert json.loads(json.dumps(network.to_dict(), allow_nan=False))["verdict"] == "accepted"
+
+
+class Misled(InProcess):
+    """Takes one pair for another and is sure of it, as where two piers are equal."""
+
+    wrong: tuple[str, str] | None = None
+
+    def run(self, stage: str, unit: Unit, items: Sequence[Item], **further: Any) -> list[Item]:
+        results = super().run(stage, unit, items, **further)
+        for item, result in zip(items, results, strict=True):
+            if stage == "links" and self.wrong is None and result["verdict"] == "accepted":
+                result["pose"] = (
+                    np.array(result["pose"]) @ random_pose(np.random.default_rng(9), 40.0)
+                ).tolist()
+                result |= {"ambiguity_ratio": None, "overlap_of_source": 1.0, "overlap_of_target": 1.0}
+                self.wrong = tuple(
+                    f"S{int(Path(item[end]['path']).name[:5])}" for end in ("source", "target")
+                )
+        return results
+
+
+def test_a_wrong_link_that_is_sure_of_itself_is_thrown_out_by_the_loops() -> None:
+    site, engine = surveyed(), Misled(1)
+    stations = [Station(name, cloud) for name, cloud in zip(site.names, site.clouds, strict=True)]
+    network = register_network(stations, seed=5, engine=engine)
+    (wrong,) = [link for link in network.links if (link.source, link.target) == engine.wrong]
+    assert wrong.verdict == "accepted"
+    assert not wrong.kept
+    assert re.match(r"the loop of \d links through it misses by", wrong.left_out_because)
+    assert f"left out   {wrong.source} – {wrong.target}: the loop of" in network.summary()
+    assert wrong.n_open_loops == wrong.n_loops > 0
+    assert all(link.kept for link in network.links if link.verdict == "accepted" and link is not wrong)
+    # Nobody was harmed by it.
+    assert network.verdict == "accepted", network.summary()
+    assert_all_right(network)
 
 
 def test_any_number_of_workers_finds_the_same() -> None:

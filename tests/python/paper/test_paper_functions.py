@@ -25,11 +25,11 @@ from tmchho.paper.store import RunStore
 PROTOTYPE = {
     ("f1", 10, "tmchho"): 2.4e-30,
     ("f1", 50, "tmchho"): 6.7e-30,
-    ("f1", 10, "hho"): 7e-27,
+    ("f1", 10, "hho"): 4e-26,
     ("f3", 50, "hho"): 1.4e-17,
 }
-# The printed average is not within two powers of ten of our median. Ours either: an average of such values is
-# made by one or two runs of thirty, and lies between the median and the worst.
+# The printed average is not within two powers of ten of our median, but of our average: an average of such
+# values is made by one or two runs of thirty, and lies far above the median.
 HEAVY_TAILS = {
     ("f1", 50, "hho"),
     ("f2", 10, "hho"),
@@ -54,7 +54,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
 
 
 def test_medians_of_table_3_lie_where_prototype_and_paper_put_them(runs: list[Run]) -> None:
-    medians, worst = table3.medians(runs), table3.medians(runs, "worst")
+    medians, averages = table3.medians(runs), table3.medians(runs, "ave")
     assert {run.job["n_population"] for run in runs} == {30}
     assert {run.job["n_iterations"] for run in runs} == {100}
     assert len(runs) == 84 * 30
@@ -66,7 +66,8 @@ def test_medians_of_table_3_lie_where_prototype_and_paper_put_them(runs: list[Ru
         if cell in PROTOTYPE:
             assert abs(log10(median) - log10(PROTOTYPE[cell])) < 1.5, cell
         elif cell in HEAVY_TAILS:
-            assert median < printed < 100 * worst[cell], cell
+            assert median < printed, cell
+            assert abs(log10(averages[cell]) - log10(printed)) < 2.0, cell
         elif printed == 0:
             assert median == 0, cell
         else:
