@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from tmchho.errors import WriteError
+from tmchho.errors import TmchhoError, WriteError
 from tmchho.io.atomic import (
     check_output,
     check_writable_folder,
@@ -125,6 +125,8 @@ def staging(folder: StrPath) -> Iterator[Path]:
             raise WriteError(f"{folder}: no folder can be made in it ({error.strerror})") from error
         try:
             yield scratch
+        except TmchhoError:  # of an input that changed, say; some of them are OSError as well
+            raise
         except OSError as error:
             raise WriteError(
                 f"{folder}: the intermediate files, about 20 bytes a point, and the results cannot be "
