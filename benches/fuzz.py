@@ -166,11 +166,10 @@ def known(given: Any, other: Any, draw: Draw) -> None:
 
 def station(given: Any, other: Any, draw: Draw) -> None:
     """Describe two stations; of what is no network, nothing is begun."""
-    names = draw.one((("a", "b"), ("a", "A"), ("", "b"), ("../a", None)))
-    for name, cloud in zip(names, (given, other), strict=True):
-        pose = draw.one((None, draw.matrix()))
-        three = draw.one((None, given, [draw.number(0.5)] * 3))
-        tmchho.Station(name, cloud, pose=pose, position=three, **draw.options(pose_sigma_m=0.1))
+    for cloud in (given, other):
+        name, pose = draw.one(("a", "b", "../a", draw.number(1.0))), draw.one((None, draw.matrix()))
+        three = draw.one((None, None, given, [draw.number(0.5)] * 3))
+        tmchho.Station(name, cloud, pose=pose, position=three, **draw.options(fixed=True))
 
 
 # Weight, name, call; what takes long comes seldom.
@@ -250,7 +249,7 @@ CALLS: tuple[tuple[int, str, Call], ...] = (
         1,
         "register",
         lambda a, b, d: tmchho.register(
-            a, b, seed=d.number(0), **d.options(voxel_size=0.3, max_distance=0.5)
+            a, b, seed=d.number(0), config={"voxel": d.options(voxel_size_m=0.3)}
         ),
     ),
 )
