@@ -57,9 +57,9 @@ $(BIN)/maturin: pyproject.toml
 	$(BIN)/python -m pip install -q --upgrade "pip>=25.1" "maturin>=1.16,<2"
 	touch $@
 
-# All that the demo needs. What tests, lints and documents need besides is ten times as much to fetch.
+# All that the demo needs. What tests, lints and documents need besides is several times as much to fetch.
 $(VENV)/.built: $(BIN)/maturin pyproject.toml Cargo.toml Cargo.lock $(RUST)
-	@echo "building the Rust core, which takes a minute or two"
+	@echo "building the Rust core, which takes some minutes"
 	$(BIN)/python -m pip install -q --no-build-isolation -e ".[report]"
 	touch $@
 

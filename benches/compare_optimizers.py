@@ -51,7 +51,7 @@ FUNCTIONS: dict[str, Callable[[Any], Any]] = {
 }
 # So many coordinates that a call takes some tenths of a millisecond, and as many iterations as in Table 3: in
 # the first ones the threads have not learned yet which way the search tends to go.
-DEAR_DIMENSION, DEAR_ITERATIONS = 600, 100
+DEAR_DIMENSION, DEAR_ITERATIONS = 800, 100
 
 Run = Callable[[int], int]
 """Takes a seed, searches, and returns how often the function was called."""

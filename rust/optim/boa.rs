@@ -11,7 +11,8 @@
 use crate::error::{Result, require_between};
 use crate::random::Stream;
 
-use super::search::{Contest, Search, Swarm, Wish};
+use super::crowd::{Crowd, InTurn, MovesInTurn};
+use super::search::Search;
 use super::start::{self, Spread};
 use super::{Bounds, Budget, Optimizer};
 
@@ -82,129 +83,48 @@ impl Optimizer for BoaOptions {
         require_between("exponent", self.exponent, 0.0, f64::MAX)?;
         let n = self.budget.population_size;
         let places = start::population(Spread::Uniform, n, bounds, seed, start)?;
-        let swarm = Butterflies {
+        let butterflies = Butterflies {
             options: self.clone(),
-            bounds: bounds.clone(),
             stimulus: self.stimulus,
-            fitness: vec![f64::INFINITY; n],
             smelled: vec![f64::INFINITY; n],
-            best: places[0].clone(),
-            best_fitness: f64::INFINITY,
-            places,
             stream: Stream::new(seed, "butterfly moves", 0),
-            next: Next::Start,
         };
-        Ok(Search::new(Box::new(swarm), &self.budget))
+        let search = InTurn::new(places, bounds, butterflies);
+        Ok(Search::new(Box::new(search), &self.budget))
     }
 }
 
+/// What the butterflies have besides their places.
 #[derive(Clone)]
 struct Butterflies {
     options: BoaOptions,
-    bounds: Bounds,
     stimulus: f64,
-    places: Vec<Vec<f64>>,
-    fitness: Vec<f64>,
     /// The value at each butterfly's last trial point, taken or not: it makes the fragrance.
     smelled: Vec<f64>,
-    best: Vec<f64>,
-    best_fitness: f64,
     stream: Stream,
-    next: Next,
 }
 
-#[derive(Clone, Copy)]
-enum Next {
-    Start,
-    Butterfly(usize),
-    End,
-}
-
-impl Butterflies {
-    fn trial(&mut self, i: usize) -> Vec<f64> {
+impl MovesInTurn for Butterflies {
+    fn trial(&mut self, crowd: &Crowd, i: usize) -> Vec<f64> {
+        let (places, stream) = (&crowd.places, &mut self.stream);
         let fragrance = fragrance(self.smelled[i], self.stimulus, self.options.exponent);
-        let stream = &mut self.stream;
-        let mut place = if stream.uniform() < self.options.switch_probability {
+        if stream.uniform() < self.options.switch_probability {
             let weight = stream.uniform() * stream.uniform();
-            fly(
-                &self.places[i],
-                &self.best,
-                &self.places[i],
-                weight,
-                fragrance,
-            )
+            fly(&places[i], &crowd.best, &places[i], weight, fragrance)
         } else {
             let epsilon = stream.uniform();
-            let two = stream.sample_indices(self.places.len(), 2);
-            let (first, second) = (&self.places[two[0]], &self.places[two[1]]);
-            fly(&self.places[i], first, second, epsilon * epsilon, fragrance)
-        };
-        self.bounds.clip(&mut place);
-        place
-    }
-}
-
-impl Swarm for Butterflies {
-    fn wish(&mut self) -> Wish {
-        match self.next {
-            Next::Start => Wish::values(self.places.clone()),
-            Next::Butterfly(i) => Wish::Values {
-                points: vec![self.trial(i)],
-                limit: f64::INFINITY,
-                contest: Some(Contest {
-                    rival: self.fitness[i].next_up(), // an equal value is taken, too
-                    kind: 0,
-                }),
-            },
-            Next::End => {
-                self.next = Next::Butterfly(0);
-                Wish::EndOfIteration
-            }
+            let two = stream.sample_indices(places.len(), 2);
+            let (first, second) = (&places[two[0]], &places[two[1]]);
+            fly(&places[i], first, second, epsilon * epsilon, fragrance)
         }
     }
 
-    fn tell(&mut self, points: Vec<Vec<f64>>, values: &[f64]) {
-        let i = match self.next {
-            Next::Butterfly(i) if !values.is_empty() => i,
-            _ => {
-                for (i, (point, &value)) in points.into_iter().zip(values).enumerate() {
-                    (self.fitness[i], self.smelled[i]) = (value, value);
-                    if value < self.best_fitness {
-                        (self.best, self.best_fitness) = (point, value);
-                    }
-                }
-                self.next = Next::End;
-                return;
-            }
-        };
-        for (point, &value) in points.into_iter().zip(values) {
-            self.smelled[i] = value;
-            if value <= self.best_fitness {
-                self.best.clone_from(&point);
-                self.best_fitness = value;
-            }
-            if value <= self.fitness[i] {
-                (self.places[i], self.fitness[i]) = (point, value);
-            }
-        }
-        self.next = if i + 1 < self.places.len() {
-            Next::Butterfly(i + 1)
-        } else {
-            self.stimulus = next_stimulus(self.stimulus, self.options.budget.n_iterations);
-            Next::End
-        };
+    fn learn(&mut self, i: usize, value: f64) {
+        self.smelled[i] = value;
     }
 
-    fn best(&self) -> (&[f64], f64) {
-        (&self.best, self.best_fitness)
-    }
-
-    fn population(&self) -> (Vec<Vec<f64>>, Vec<f64>) {
-        (self.places.clone(), self.fitness.clone())
-    }
-
-    fn fork(&self) -> Box<dyn Swarm> {
-        Box::new(self.clone())
+    fn end_round(&mut self) {
+        self.stimulus = next_stimulus(self.stimulus, self.options.budget.n_iterations);
     }
 }
 

@@ -12,7 +12,8 @@
 use crate::error::{Result, require_between};
 use crate::random::Stream;
 
-use super::search::{Contest, Search, Swarm, Wish};
+use super::crowd::{Crowd, InTurn, MovesInTurn};
+use super::search::Search;
 use super::start::{self, Spread};
 use super::{Bounds, Budget, Optimizer};
 
@@ -121,134 +122,58 @@ impl Optimizer for DoaOptions {
         let group = stream.uniform_between(2.0, n as f64 / 2.0).round() as usize;
         let pack = Pack {
             options: self.clone(),
-            bounds: bounds.clone(),
             beta1,
             beta2,
             group,
-            fitness: vec![f64::INFINITY; n],
             survival: Vec::new(),
-            best: places[0].clone(),
-            best_fitness: f64::INFINITY,
-            places,
             stream,
-            next: Next::Start,
         };
-        Ok(Search::new(Box::new(pack), &self.budget))
+        let search = InTurn::new(places, bounds, pack);
+        Ok(Search::new(Box::new(search), &self.budget))
     }
 }
 
+/// What the dingoes have besides their places.
 #[derive(Clone)]
 struct Pack {
     options: DoaOptions,
-    bounds: Bounds,
     beta1: f64,
     beta2: f64,
     group: usize,
-    places: Vec<Vec<f64>>,
-    fitness: Vec<f64>,
     survival: Vec<f64>,
-    best: Vec<f64>,
-    best_fitness: f64,
     stream: Stream,
-    next: Next,
 }
 
-#[derive(Clone, Copy)]
-enum Next {
-    Start,
-    Dingo(usize),
-    End,
-}
+impl MovesInTurn for Pack {
+    fn begin_round(&mut self, crowd: &Crowd) {
+        self.survival = survival(&crowd.fitness, crowd.best_fitness);
+    }
 
-impl Pack {
-    fn trial(&mut self, i: usize) -> Vec<f64> {
-        let n = self.places.len();
-        let (x, stream) = (&self.places[i], &mut self.stream);
+    fn trial(&mut self, crowd: &Crowd, i: usize) -> Vec<f64> {
+        let (places, n) = (&crowd.places, crowd.places.len());
+        let (x, stream) = (&places[i], &mut self.stream);
         let sign = |stream: &mut Stream| if stream.uniform() < 0.5 { 1.0 } else { -1.0 };
-        let mut place = if stream.uniform() < self.options.hunt_probability {
+        let hunted = if stream.uniform() < self.options.hunt_probability {
             let attackers: Vec<&[f64]> = (stream.sample_indices(n, self.group).into_iter())
-                .map(|j| self.places[j].as_slice())
+                .map(|j| places[j].as_slice())
                 .collect();
             if stream.uniform() < self.options.group_probability {
-                group_attack(x, &self.best, &attackers, self.beta1)
+                group_attack(x, &crowd.best, &attackers, self.beta1)
             } else {
-                let other = &self.places[stream.below(n)];
-                persecute(x, &self.best, other, self.beta1, self.beta2)
+                let other = &places[stream.below(n)];
+                persecute(x, &crowd.best, other, self.beta1, self.beta2)
             }
         } else {
-            let other = &self.places[stream.below(n)];
+            let other = &places[stream.below(n)];
             scavenge(x, other, self.beta2, sign(stream))
         };
         if self.survival[i] <= LOWEST_SURVIVAL {
             let two = stream.sample_indices(n, 2);
-            let (one, another) = (&self.places[two[0]], &self.places[two[1]]);
-            place = replace(&self.best, one, another, sign(stream));
-        }
-        self.bounds.clip(&mut place);
-        place
-    }
-}
-
-impl Swarm for Pack {
-    fn wish(&mut self) -> Wish {
-        match self.next {
-            Next::Start => Wish::values(self.places.clone()),
-            Next::Dingo(i) => Wish::Values {
-                points: vec![self.trial(i)],
-                limit: f64::INFINITY,
-                contest: Some(Contest {
-                    rival: self.fitness[i].next_up(), // an equal value is taken, too
-                    kind: 0,
-                }),
-            },
-            Next::End => {
-                self.survival = survival(&self.fitness, self.best_fitness);
-                self.next = Next::Dingo(0);
-                Wish::EndOfIteration
-            }
-        }
-    }
-
-    fn tell(&mut self, points: Vec<Vec<f64>>, values: &[f64]) {
-        let i = match self.next {
-            Next::Dingo(i) if !values.is_empty() => i,
-            _ => {
-                for (i, (point, &value)) in points.into_iter().zip(values).enumerate() {
-                    self.fitness[i] = value;
-                    if value < self.best_fitness {
-                        (self.best, self.best_fitness) = (point, value);
-                    }
-                }
-                self.next = Next::End;
-                return;
-            }
-        };
-        for (point, &value) in points.into_iter().zip(values) {
-            if value <= self.best_fitness {
-                self.best.clone_from(&point);
-                self.best_fitness = value;
-            }
-            if value <= self.fitness[i] {
-                (self.places[i], self.fitness[i]) = (point, value);
-            }
-        }
-        self.next = if i + 1 < self.places.len() {
-            Next::Dingo(i + 1)
+            let (one, another) = (&places[two[0]], &places[two[1]]);
+            replace(&crowd.best, one, another, sign(stream))
         } else {
-            Next::End
-        };
-    }
-
-    fn best(&self) -> (&[f64], f64) {
-        (&self.best, self.best_fitness)
-    }
-
-    fn population(&self) -> (Vec<Vec<f64>>, Vec<f64>) {
-        (self.places.clone(), self.fitness.clone())
-    }
-
-    fn fork(&self) -> Box<dyn Swarm> {
-        Box::new(self.clone())
+            hunted
+        }
     }
 }
 

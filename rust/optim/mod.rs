@@ -12,6 +12,7 @@ pub mod boa;
 mod bounds;
 mod budget;
 pub mod chaos;
+mod crowd;
 pub mod doa;
 mod evaluator;
 mod hawks;

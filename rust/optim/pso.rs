@@ -10,7 +10,8 @@
 use crate::error::{Result, require_between};
 use crate::random::Stream;
 
-use super::search::{Search, Swarm, Wish};
+use super::crowd::{AtOnce, Crowd, MovesAtOnce};
+use super::search::Search;
 use super::start::{self, Spread};
 use super::{Bounds, Budget, Optimizer};
 
@@ -97,103 +98,57 @@ impl Optimizer for PsoOptions {
         let places = start::population(Spread::Uniform, n, bounds, seed, start)?;
         let flock = Flock {
             options: self.clone(),
-            bounds: bounds.clone(),
             velocities: vec![vec![0.0; bounds.dimension()]; n],
             own_bests: places.clone(),
             own_best_fitness: vec![f64::INFINITY; n],
-            fitness: vec![f64::INFINITY; n],
-            best: places[0].clone(),
-            best_fitness: f64::INFINITY,
-            places,
             stream: Stream::new(seed, "particle moves", 0),
-            n_iterations_done: 0,
-            is_evaluated: false,
         };
-        Ok(Search::new(Box::new(flock), &self.budget))
+        let search = AtOnce::new(places, bounds, flock);
+        Ok(Search::new(Box::new(search), &self.budget))
     }
 }
 
+/// What the particles have besides their places.
 #[derive(Clone)]
 struct Flock {
     options: PsoOptions,
-    bounds: Bounds,
-    places: Vec<Vec<f64>>,
     velocities: Vec<Vec<f64>>,
-    fitness: Vec<f64>,
     own_bests: Vec<Vec<f64>>,
     own_best_fitness: Vec<f64>,
-    best: Vec<f64>,
-    best_fitness: f64,
     stream: Stream,
-    n_iterations_done: usize,
-    is_evaluated: bool,
 }
 
-impl Flock {
-    fn move_all(&mut self) {
+impl MovesAtOnce for Flock {
+    fn move_all(&mut self, crowd: &mut Crowd, iteration: usize) {
         let n_iterations = self.options.budget.n_iterations;
-        let inertia = inertia(&self.options, self.n_iterations_done - 1, n_iterations);
-        for i in 0..self.places.len() {
+        let inertia = inertia(&self.options, iteration, n_iterations);
+        for i in 0..crowd.places.len() {
             let mut draw =
-                || -> Vec<f64> { (self.best.iter()).map(|_| self.stream.uniform()).collect() };
+                || -> Vec<f64> { (crowd.best.iter()).map(|_| self.stream.uniform()).collect() };
             let (r1, r2) = (draw(), draw());
             self.velocities[i] = velocity(
                 &self.options,
                 inertia,
                 &self.velocities[i],
-                &self.places[i],
+                &crowd.places[i],
                 &self.own_bests[i],
-                &self.best,
+                &crowd.best,
                 &r1,
                 &r2,
             );
-            for (x, v) in self.places[i].iter_mut().zip(&self.velocities[i]) {
+            for (x, v) in crowd.places[i].iter_mut().zip(&self.velocities[i]) {
                 *x += v;
             }
-            self.bounds.clip(&mut self.places[i]);
         }
     }
-}
 
-impl Swarm for Flock {
-    fn wish(&mut self) -> Wish {
-        if self.is_evaluated {
-            self.is_evaluated = false;
-            self.n_iterations_done += 1;
-            return Wish::EndOfIteration;
-        }
-        if self.n_iterations_done > 0 {
-            self.move_all();
-        }
-        Wish::values(self.places.clone())
-    }
-
-    fn tell(&mut self, _: Vec<Vec<f64>>, values: &[f64]) {
-        self.is_evaluated = true;
-        self.fitness.fill(f64::INFINITY);
-        for (i, &value) in values.iter().enumerate() {
-            self.fitness[i] = value;
+    fn learn(&mut self, crowd: &Crowd) {
+        for (i, &value) in crowd.fitness.iter().enumerate() {
             if value < self.own_best_fitness[i] {
                 self.own_best_fitness[i] = value;
-                self.own_bests[i].clone_from(&self.places[i]);
-            }
-            if value < self.best_fitness {
-                self.best_fitness = value;
-                self.best.clone_from(&self.places[i]);
+                self.own_bests[i].clone_from(&crowd.places[i]);
             }
         }
-    }
-
-    fn best(&self) -> (&[f64], f64) {
-        (&self.best, self.best_fitness)
-    }
-
-    fn population(&self) -> (Vec<Vec<f64>>, Vec<f64>) {
-        (self.places.clone(), self.fitness.clone())
-    }
-
-    fn fork(&self) -> Box<dyn Swarm> {
-        Box::new(self.clone())
     }
 }
 

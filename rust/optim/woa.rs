@@ -12,7 +12,8 @@ use std::f64::consts::TAU;
 use crate::error::{Error, Result};
 use crate::random::Stream;
 
-use super::search::{Search, Swarm, Wish};
+use super::crowd::{AtOnce, Crowd, MovesAtOnce};
+use super::search::Search;
 use super::start::{self, Spread};
 use super::{Bounds, Budget, Optimizer};
 
@@ -67,96 +68,44 @@ impl Optimizer for WoaOptions {
         let whales = start::population(Spread::Uniform, n, bounds, seed, start)?;
         let pod = Pod {
             options: self.clone(),
-            bounds: bounds.clone(),
-            fitness: vec![f64::INFINITY; n],
-            leader: whales[0].clone(),
-            leader_fitness: f64::INFINITY,
-            whales,
             stream: Stream::new(seed, "whale moves", 0),
-            n_iterations_done: 0,
-            is_evaluated: false,
         };
-        Ok(Search::new(Box::new(pod), &self.budget))
+        let search = AtOnce::new(whales, bounds, pod);
+        Ok(Search::new(Box::new(search), &self.budget))
     }
 }
 
+/// What moves the whales.
 #[derive(Clone)]
 struct Pod {
     options: WoaOptions,
-    bounds: Bounds,
-    whales: Vec<Vec<f64>>,
-    fitness: Vec<f64>,
-    leader: Vec<f64>,
-    leader_fitness: f64,
     stream: Stream,
-    n_iterations_done: usize,
-    is_evaluated: bool,
 }
 
-impl Pod {
-    fn move_all(&mut self) {
-        let share = (self.n_iterations_done - 1) as f64 / self.options.budget.n_iterations as f64;
+impl MovesAtOnce for Pod {
+    fn move_all(&mut self, crowd: &mut Crowd, iteration: usize) {
+        let (whales, leader) = (&mut crowd.places, &crowd.best);
+        let share = iteration as f64 / self.options.budget.n_iterations as f64;
         // a falls from 2 to 0, the lower end of l from -1 to -2.
         let (shrink, lowest) = (2.0 - 2.0 * share, -1.0 - share);
-        for i in 0..self.whales.len() {
+        for i in 0..whales.len() {
             let stream = &mut self.stream;
             let a = 2.0 * shrink * stream.uniform() - shrink;
             let c = 2.0 * stream.uniform();
             let l = (lowest - 1.0) * stream.uniform() + 1.0;
             let is_encircling = stream.uniform() < 0.5;
-            for d in 0..self.leader.len() {
-                let x = self.whales[i][d];
-                self.whales[i][d] = if !is_encircling {
-                    spiral(x, self.leader[d], self.options.spiral, l)
+            for d in 0..leader.len() {
+                let x = whales[i][d];
+                whales[i][d] = if !is_encircling {
+                    spiral(x, leader[d], self.options.spiral, l)
                 } else if a.abs() >= 1.0 {
-                    let random_whale = stream.below(self.whales.len());
-                    encircle(x, self.whales[random_whale][d], a, c)
+                    let random_whale = stream.below(whales.len());
+                    encircle(x, whales[random_whale][d], a, c)
                 } else {
-                    encircle(x, self.leader[d], a, c)
+                    encircle(x, leader[d], a, c)
                 };
             }
         }
-        for whale in &mut self.whales {
-            self.bounds.clip(whale);
-        }
-    }
-}
-
-impl Swarm for Pod {
-    fn wish(&mut self) -> Wish {
-        if self.is_evaluated {
-            self.is_evaluated = false;
-            self.n_iterations_done += 1;
-            return Wish::EndOfIteration;
-        }
-        if self.n_iterations_done > 0 {
-            self.move_all();
-        }
-        Wish::values(self.whales.clone())
-    }
-
-    fn tell(&mut self, _: Vec<Vec<f64>>, values: &[f64]) {
-        self.is_evaluated = true;
-        self.fitness.fill(f64::INFINITY);
-        for (i, &value) in values.iter().enumerate() {
-            self.fitness[i] = value;
-            if value < self.leader_fitness {
-                self.leader_fitness = value;
-                self.leader.clone_from(&self.whales[i]);
-            }
-        }
-    }
-
-    fn best(&self) -> (&[f64], f64) {
-        (&self.leader, self.leader_fitness)
-    }
-
-    fn population(&self) -> (Vec<Vec<f64>>, Vec<f64>) {
-        (self.whales.clone(), self.fitness.clone())
-    }
-
-    fn fork(&self) -> Box<dyn Swarm> {
-        Box::new(self.clone())
     }
 }
 

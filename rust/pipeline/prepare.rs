@@ -1,6 +1,7 @@
 //! Two clouds made comparable: one voxel for both, surfaces, and witnesses.
 
 use super::VOXELS_PER_EXTENT;
+use super::strays::without_strays;
 use crate::cloud::{Cloud, MIN_POINTS, Point};
 use crate::coarse;
 use crate::config::Config;
@@ -56,15 +57,57 @@ impl Prepared {
             }
             asked_m => asked_m.unwrap_or(unit_m / VOXELS_PER_EXTENT),
         };
-        let thinned = |cloud: &Cloud| -> Result<(Cloud, SurfaceCloud)> {
-            let voxels = downsample(cloud, voxel_size_m, progress)?.cloud;
-            let surfaces = SurfaceCloud::new(&voxels, config.seed, progress)?;
-            Ok((voxels, surfaces))
-        };
+        let thinned = |cloud: &Cloud| downsample(cloud, voxel_size_m, progress);
         let (of_source, of_target) = parallel::both(|| thinned(source), || thinned(target));
-        let (source_voxels, source_surfaces) = of_source?;
-        let (target_voxels, target_surfaces) = of_target?;
-        let surfaces = [source_surfaces, target_surfaces];
+        let voxels = [of_source?.cloud, of_target?.cloud];
+        Self::of_voxels(
+            voxels,
+            source_scale,
+            (unit_m, voxel_size_m),
+            config,
+            progress,
+        )
+    }
+
+    /// The same without the voxels of strays; `None` where hardly any would go, or hardly any stay.
+    pub(super) fn without_strays(
+        &self,
+        source: &Cloud,
+        target: &Cloud,
+        config: &Config,
+        progress: &Progress<'_>,
+    ) -> Result<Option<Self>> {
+        /// Fewer of all voxels change nothing.
+        const LEAST_SHARE: f64 = 0.05;
+        let cleaned = |cloud: &Cloud| -> Result<Cloud> {
+            let voxels = downsample(cloud, self.voxel_size_m, progress)?;
+            Ok(without_strays(&voxels, self.voxel_size_m))
+        };
+        let (of_source, of_target) = parallel::both(|| cleaned(source), || cleaned(target));
+        let voxels = [of_source?, of_target?];
+        let before = [&self.source_voxels, &self.target_voxels];
+        let keeps_most = |(after, before): (&Cloud, &Cloud)| {
+            after.len() as f64 > (1.0 - LEAST_SHARE) * before.len() as f64
+        };
+        let changes_nothing = voxels.iter().zip(before).all(keeps_most);
+        if changes_nothing || voxels.iter().any(|cloud| cloud.len() < MIN_POINTS) {
+            return Ok(None);
+        }
+        let lengths = (self.unit_m, self.voxel_size_m);
+        Self::of_voxels(voxels, self.source_scale, lengths, config, progress).map(Some)
+    }
+
+    fn of_voxels(
+        [source_voxels, target_voxels]: [Cloud; 2],
+        source_scale: f64,
+        (unit_m, voxel_size_m): (f64, f64),
+        config: &Config,
+        progress: &Progress<'_>,
+    ) -> Result<Self> {
+        let surfaces = |voxels: &Cloud| SurfaceCloud::new(voxels, config.seed, progress);
+        let (of_source, of_target) =
+            parallel::both(|| surfaces(&source_voxels), || surfaces(&target_voxels));
+        let surfaces = [of_source?, of_target?];
         let [source, target] = Witnesses::of_both(
             surfaces,
             coarse::N_WITNESSES,

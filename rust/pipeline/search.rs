@@ -87,6 +87,15 @@ fn keypoints(
     Ok(found.indices.iter().map(local).collect())
 }
 
+/// Whether strays may be why nothing stands out: not where somebody said what a stray is.
+pub(super) fn looks_for_strays(config: &Config, found: &CoarseResult) -> bool {
+    config.mode == Mode::Robust
+        && config.dof != Freedom::Similarity
+        && config.outliers.radius_m.is_none()
+        && !found.ended_early
+        && !enough(config).is_met_by(found.inlier_share(), found.ambiguity_ratio)
+}
+
 /// The scales at which the search is begun: 1, what control points say, or evenly spaced over the
 /// bounds.
 pub(super) fn scales(config: &Config) -> Result<Vec<f64>> {

@@ -283,8 +283,9 @@ def test_a_search_within_a_search() -> None:
     ],
 )
 def test_a_wrong_argument_is_refused_by_its_name(arguments: dict[str, Any], problem: str) -> None:
-    with pytest.raises(errors.InvalidArgumentError, match=problem):
+    with pytest.raises(errors.InvalidArgumentError, match=problem) as raised:
         tmchho.minimize(**{"fun": bowl, "bounds": BOX, **arguments})
+    assert isinstance(raised.value, ValueError)
 
 
 def test_a_population_that_does_not_fit_into_memory_is_refused() -> None:

@@ -80,7 +80,8 @@ def paper(
     it was, and more --runs are added to those that are there. Results of an earlier call are replaced.
 
     On two idle cores `all` takes about half an hour, nearly all of it registrations; with --runs 20, the
-    number of the paper's Section 5.2, about three hours. The functions alone take seconds.
+    number of the paper's Section 5.2, about two hours. Table 3 alone takes seconds. What each run took is in
+    runs.jsonl.
 
     Real scans are read from the folder that TMCHHO_DATA names (stanford/pairs.json and what it lists);
     where it is not set, simulated objects stand in for them. Needs the extra: pip install 'tmchho[paper]'.

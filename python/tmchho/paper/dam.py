@@ -108,6 +108,7 @@ def _show_searches(runs: list[Run]) -> Content:
         for method in PAPER_METHODS
     }
     averages = {method: row["ave"] for method, row in zip(PAPER_METHODS, rows, strict=True)}
+    true_rms = runs[0].result["true_rms"]
 
     def paint(_figure: Figure, panels: list[Axes]) -> None:
         panels[0].bar(
@@ -115,14 +116,18 @@ def _show_searches(runs: list[Run]) -> Content:
             [averages[m] for m in PAPER_METHODS],
             color=[COLOURS[m] for m in PAPER_METHODS],
         )
+        for method in PAPER_METHODS:
+            of_method = [run.result["rms"] for run in chosen(runs, method=method)]
+            panels[0].plot([title(method)] * len(of_method), of_method, "k.", markersize=4)
         panels[0].set_title("(a) RMS in the end, m", fontsize=9)
         for method in PAPER_METHODS:
             panels[1].plot(curves[method], color=COLOURS[method], label=title(method), lw=1.4)
         panels[1].set_title("(b) RMS during the search, m", fontsize=9)
         panels[1].set_xlabel("iteration", fontsize=8)
-        panels[1].legend(fontsize=7)
         for panel in panels:
+            panel.axhline(true_rms, color="black", lw=0.8, ls="--", label="true pose")
             panel.tick_params(labelsize=7)
+        panels[1].legend(fontsize=7)
 
     columns = [
         Column("algorithm", "algorithm"),
@@ -139,7 +144,6 @@ def _show_searches(runs: list[Run]) -> Content:
         for number, value in enumerate(curve, start=1)
     ]
     order = sorted(averages, key=averages.__getitem__)
-    true_rms = runs[0].result["true_rms"]
     n_below = sum(run.result["rms"] < true_rms for run in runs if not is_right(run)[0])
     return Content(
         how=(
@@ -160,7 +164,14 @@ def _show_searches(runs: list[Run]) -> Content:
                 on_page=False,
             ),
         ),
-        pictures=(draw("figure14", "(a) Mean over the runs; (b) the same, step by step.", (1, 2), paint),),
+        pictures=(
+            draw(
+                "figure14",
+                "(a) Mean over the runs, and each of them; (b) the mean, step by step.",
+                (1, 2),
+                paint,
+            ),
+        ),
         findings=(
             "From the lowest average RMS to the highest: "
             + listing([f"{title(m)} ({averages[m]:.3f} m)" for m in order])

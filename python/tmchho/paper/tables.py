@@ -83,6 +83,11 @@ class Table:
         """Return whether a column holds words, which the page sets to the left."""
         return all(isinstance(row.get(column.key), (str, type(None))) for row in self.rows)
 
+    def is_grouped(self) -> bool:
+        """Return whether any rows belong together."""
+        keys = [column.key for column in self.columns[: self.n_group_columns]]
+        return len({tuple(row.get(key) for key in keys) for row in self.rows}) < len(self.rows)
+
     def texts(self) -> list[list[str]]:
         """Return the cells as the page shows them."""
         return [[column.text(row.get(column.key)) for column in self.columns] for row in self.rows]
