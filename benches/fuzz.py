@@ -1,24 +1,32 @@
-"""Every public function that takes arrays, called with hostile ones: no panic, no hang, no runaway memory.
+"""Every public function with hostile arrays, every reader with damaged files: no panic, hang, runaway memory.
 
-    python benches/fuzz.py --cases 100000
+    python benches/fuzz.py --cases 100000 --files 3000
     python benches/fuzz.py --only 4711
 
 A case is settled by its number alone. It passes where the function returns, or raises an error of this
 package, a `TypeError`, a `ValueError` or a `MemoryError`; and leaves what it was given as it was. Cases run
-in processes of their own, within an address space of 4 GB, so that an abort is seen and named.
+in processes of their own, within an address space of 4 GB, so that an abort is seen and named. Files are
+damaged by `tests/python/mutations.py`, so many of each format and of each kind of document.
 """
 
 from __future__ import annotations
 
 import argparse
 import faulthandler
+import json
+import logging
 import multiprocessing
+import os
 import resource
 import signal
+import subprocess
+import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +36,7 @@ import tmchho
 ADDRESS_SPACE = 4_000_000_000
 PATIENCE_S = 30
 CASES_PER_PROCESS = 2000
+MUTATIONS = Path(__file__).resolve().parents[1] / "tests" / "python" / "mutations.py"
 SPECIAL = (np.nan, np.inf, -np.inf, 5e-324, 1e-308, 1e308, -1e308, 0.0, -0.0, 1e15, 1.0)
 NUMBERS = (
     *(0, 1, -1, 2, 3, 16, 2**31, 2**63, 2**64, 10**30, 0.5, -0.5, 1e-9, 5e-324, 1e308, -1e308),
@@ -122,6 +131,47 @@ def read_only(points: Any) -> Any:
     return kept
 
 
+def write(given: Any, other: Any, draw: Draw) -> None:
+    """Write a cloud with an attribute, and read it back."""
+    suffix = draw.one(sorted({".las", ".laz", ".ply", ".pcd", ".npy", ".npz", ".xyz", ".pts", ".csv"}))
+    attribute = draw.one((np.arange(len(given)), other, given, draw.number(1.0)))
+    cloud = tmchho.PointCloud(given, {draw.one(("intensity", "red", "x", "", "a b")): attribute})
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"a{suffix}"
+        try:
+            tmchho.write(cloud, path)
+            tmchho.read(path)
+        finally:
+            left = [name for name in os.listdir(folder) if name != path.name]
+            assert not left, left
+
+
+def told(given: Any, _other: Any, draw: Draw) -> None:
+    """Tell a search hostile values."""
+    search = tmchho.Optimizer([(-1, 1)] * 3, **draw.options(population_size=5, n_iterations=4, seed=3))
+    for _ in range(6):
+        if search.done:
+            break
+        asked = search.ask()
+        search.tell(draw.one(([draw.number(1.0)] * len(asked), draw.rng.choice(SPECIAL, len(asked)), given)))
+
+
+def known(given: Any, other: Any, draw: Draw) -> None:
+    """Say hostile things of the pose."""
+    prior = tmchho.PosePrior(draw.matrix(), **draw.options(rotation_rad=[0.1] * 3, translation_m=[0.1] * 3))
+    three = draw.one(([1.0, 2.0, 3.0], given, [draw.number(0.5)] * 3))
+    points = [tmchho.ControlPoint([0.0, 0.0, 0.0], three, draw.number(0.1)) for _ in range(3)]
+    tmchho.icp(given, other, prior=prior, control_points=points)
+
+
+def station(given: Any, other: Any, draw: Draw) -> None:
+    """Describe two stations; of what is no network, nothing is begun."""
+    for cloud in (given, other):
+        name, pose = draw.one(("a", "b", "../a", draw.number(1.0))), draw.one((None, draw.matrix()))
+        three = draw.one((None, None, given, [draw.number(0.5)] * 3))
+        tmchho.Station(name, cloud, pose=pose, position=three, **draw.options(fixed=True))
+
+
 # Weight, name, call; what takes long comes seldom.
 CALLS: tuple[tuple[int, str, Call], ...] = (
     (
@@ -182,6 +232,10 @@ CALLS: tuple[tuple[int, str, Call], ...] = (
     (4, "Transform", lambda a, b, d: tmchho.Transform.of(d.matrix()).apply(a)),
     (4, "PointCloud", lambda a, b, d: tmchho.moved(tmchho.PointCloud(a), d.matrix())),
     (2, "DistanceStatistics", lambda a, b, d: tmchho.DistanceStatistics.of(a)),
+    (3, "write", write),
+    (2, "Optimizer", told),
+    (2, "Station", station),
+    (2, "PosePrior, ControlPoint", known),
     (
         1,
         "minimize",
@@ -195,7 +249,7 @@ CALLS: tuple[tuple[int, str, Call], ...] = (
         1,
         "register",
         lambda a, b, d: tmchho.register(
-            a, b, seed=d.number(0), **d.options(voxel_size=0.3, max_distance=0.5)
+            a, b, seed=d.number(0), config={"voxel": d.options(voxel_size_m=0.3)}
         ),
     ),
 )
@@ -250,6 +304,7 @@ def patience() -> Iterator[None]:
 def run_some(start: int, stop: int, at: Any, found: Any) -> None:
     """Run cases within a process of their own; `at` tells which one is running."""
     faulthandler.enable()
+    logging.disable(logging.ERROR)
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
     for number in range(start, stop):
         at.value = number
@@ -277,9 +332,29 @@ def problems(start: int, stop: int) -> list[str]:
     return wrong
 
 
+def problems_of_files(n_files: int, seed: int) -> list[str]:
+    """Damage so many files of each kind; return what went wrong."""
+    sys.path.insert(0, str(MUTATIONS.parent))
+    from mutations import MAKERS
+
+    wrong = []
+    # One arena: else every thread of the allocator reserves address space, which the limit would count.
+    environment = {**os.environ, "MALLOC_ARENA_MAX": "1"}
+    for name in MAKERS:
+        command = [sys.executable, "-W", "ignore", str(MUTATIONS), name, str(n_files), str(seed)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            wrong.append(f"{name}: {done.stderr[-2000:]}")
+            continue
+        found = json.loads(done.stdout.splitlines()[-1])
+        print(f"{name}: {n_files} files, {found['n_read']} read all the same", flush=True)
+    return wrong
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--cases", type=int, default=100_000)
+    parser.add_argument("--files", type=int, default=3000, help="damaged files of each kind")
     parser.add_argument("--start", type=int, default=0, help="number of the first case")
     parser.add_argument("--only", type=int, help="run this case alone, in this process")
     arguments = parser.parse_args()
@@ -288,9 +363,14 @@ def main() -> None:
         return
     began = time.perf_counter()
     wrong = problems(arguments.start, arguments.start + arguments.cases)
+    if arguments.files:
+        wrong += problems_of_files(arguments.files, arguments.start)
     print(
         "\n".join(
-            [*wrong, f"{arguments.cases} cases, {len(wrong)} wrong, {time.perf_counter() - began:.0f} s"]
+            [
+                *wrong,
+                f"{arguments.cases} cases and files, {len(wrong)} wrong, {time.perf_counter() - began:.0f} s",
+            ]
         )
     )
     raise SystemExit(bool(wrong))

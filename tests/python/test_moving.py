@@ -161,7 +161,7 @@ def test_two_files_of_one_name_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("suffix", [".las", ".laz", ".ply"])
+@pytest.mark.parametrize("suffix", [".las", ".laz", ".ply", ".pcd", ".npy", ".npz", ".xyz"])
 def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, suffix: str) -> None:
     """A limit on the size of files stands in for a full disk: writing fails in the middle of the points."""
     path, out = tmp_path / f"in{suffix}", tmp_path / "out" / f"tile{suffix}"
@@ -185,6 +185,7 @@ def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, suffix: str) -> None:
     )
     assert (ran.returncode, ran.stderr) == (0, ""), ran.stderr
     assert str(out) in ran.stdout
+    assert "File too large" in ran.stdout
     assert "Traceback" not in ran.stdout
     assert [file.name for file in out.parent.iterdir()] == [out.name]
     assert out.read_bytes() == b"old"

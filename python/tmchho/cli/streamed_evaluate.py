@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tmchho.cli.display import Display
 from tmchho.cli.streamed import open_in_parts
-from tmchho.errors import WriteError
+from tmchho.errors import TmchhoError, WriteError
 
 if TYPE_CHECKING:
     from tmchho.cli.evaluate import EvaluationJob
@@ -90,6 +90,8 @@ def scratch_in(folder: Path | None) -> Iterator[Path]:
     try:
         with tempfile.TemporaryDirectory(prefix="tmchho-") as made:
             yield Path(made)
+    except TmchhoError:
+        raise
     except OSError as error:
         raise WriteError(
             f"{place}: the intermediate files, about 24 bytes a point, cannot be written there "

@@ -11,6 +11,8 @@ import platform
 import re
 import secrets
 import shutil
+import signal
+import threading
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -58,17 +60,32 @@ def atomic_path(path: StrPath, overwrite: bool = False, inputs: Iterable[StrPath
     ['pose.txt']
     """
     inputs = tuple(inputs)
+    with pending(path, overwrite, inputs) as (temporary, target):
+        yield temporary
+        flush_to_disk(temporary)
+        check_output(path, overwrite, inputs)  # another program may have been quicker
+        os.replace(temporary, target)
+        flush_folder(target.parent)
+
+
+@contextmanager
+def pending(
+    path: StrPath, overwrite: bool = False, inputs: Iterable[StrPath] = ()
+) -> Iterator[tuple[Path, Path]]:
+    """Lend a temporary path and the one that it may be renamed to; removed at the end where it is not.
+
+    Parameters
+    ----------
+    path, overwrite, inputs
+        As for `atomic_path`.
+    """
     check_output(path, overwrite, inputs)
     target = Path(path).resolve()
     # The stem is cut because file systems allow 255 bytes for a name.
     unique = f"tmp-{own_mark()}-{secrets.token_hex(4)}"
     temporary = target.with_name(f".{target.stem[:40]}.{unique}{target.suffix}")
     try:
-        yield temporary
-        _flush_to_disk(temporary)
-        check_output(path, overwrite, inputs)  # another program may have been quicker
-        os.replace(temporary, target)
-        _flush_folder(target.parent)
+        yield temporary, target
     except TmchhoError:
         raise
     except OSError as error:
@@ -77,6 +94,27 @@ def atomic_path(path: StrPath, overwrite: bool = False, inputs: Iterable[StrPath
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Put off Ctrl-C and polite requests to end until the block is done; for what takes no time."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # which alone is interrupted
+        return
+    came: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _frame: came.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+        if callable(signal.getsignal(number))
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for late in came:
+        signal.raise_signal(late)
 
 
 def own_mark() -> str:
@@ -178,7 +216,7 @@ def reason(error: BaseException) -> str:
     return lines[0][:200] if lines else type(error).__name__
 
 
-def _flush_folder(folder: Path) -> None:
+def flush_folder(folder: Path) -> None:
     """Wait until the new name is on the disk, where the system can: a power cut must not undo it."""
     with suppress(OSError):  # Windows opens no folders, and some network drives sync none
         handle = os.open(folder, os.O_RDONLY)
@@ -188,7 +226,7 @@ def _flush_folder(folder: Path) -> None:
             os.close(handle)
 
 
-def _flush_to_disk(path: Path) -> None:
+def flush_to_disk(path: Path) -> None:
     """Wait until the file's bytes are on the disk, so that the rename cannot overtake them."""
     # Opened for updating because some systems refuse to sync a file that is only read.
     with path.open("rb+") as stream:

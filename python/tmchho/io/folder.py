@@ -9,8 +9,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from tmchho.errors import WriteError
-from tmchho.io.atomic import atomic_path, check_output, check_writable_folder, own_mark, sweep
+from tmchho.errors import TmchhoError, WriteError
+from tmchho.io.atomic import (
+    check_output,
+    check_writable_folder,
+    flush_folder,
+    flush_to_disk,
+    own_mark,
+    pending,
+    sweep,
+    uninterrupted,
+)
 
 StrPath = str | os.PathLike[str]
 
@@ -50,17 +59,24 @@ def write_together(
     with _made_folder(folder), _alone_in(folder):
         sweep(folder)
         with ExitStack() as stack:
+            moves = []
             for name, write in files.items():
                 path = folder / name
-                temporary = stack.enter_context(atomic_path(path, overwrite, inputs))
+                temporary, target = stack.enter_context(pending(path, overwrite, inputs))
                 try:
                     write(temporary)
                 except WriteError as error:
                     raise WriteError(str(error).replace(str(temporary), str(path))) from error.__cause__
+                flush_to_disk(temporary)
+                moves.append((temporary, target))
             for name in files:  # before the first appears, not one after the other
                 check_output(folder / name, overwrite, inputs)
-        for name in set(others) - set(files):
-            (folder / name).unlink(missing_ok=True)
+            with uninterrupted():  # all or none
+                for temporary, target in reversed(moves):
+                    os.replace(temporary, target)
+                for name in set(others) - set(files):
+                    (folder / name).unlink(missing_ok=True)
+        flush_folder(folder)
 
 
 @contextmanager
@@ -109,6 +125,8 @@ def staging(folder: StrPath) -> Iterator[Path]:
             raise WriteError(f"{folder}: no folder can be made in it ({error.strerror})") from error
         try:
             yield scratch
+        except TmchhoError:  # of an input that changed, say; some of them are OSError as well
+            raise
         except OSError as error:
             raise WriteError(
                 f"{folder}: the intermediate files, about 20 bytes a point, and the results cannot be "

@@ -5,6 +5,7 @@ Source: ASPRS, "LAS Specification 1.4 - R15" (2019).
 
 from __future__ import annotations
 
+import io
 import logging
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -144,10 +145,35 @@ def open_las_writer(
     if any(record.key == WKT for record in records) and number >= _EXTENDED:
         header.global_encoding.value |= _WKT_BIT
     is_compressed = path.suffix.lower() == ".laz"
-    with laspy.open(path, "w", header=header, do_compress=is_compressed) as writer:
-        yield writer, header.point_format
-        if extended_records:
-            writer.write_evlrs(laspy.vlrs.vlrlist.VLRList(map(_for_laspy, extended_records)))
+    file = _Remembering(path, "w+")
+    try:
+        with (
+            io.BufferedRandom(file) as stream,
+            laspy.open(stream, "w", closefd=False, header=header, do_compress=is_compressed) as writer,
+        ):
+            yield writer, header.point_format
+            if extended_records:
+                writer.write_evlrs(laspy.vlrs.vlrlist.VLRList(map(_for_laspy, extended_records)))
+    except (KeyboardInterrupt, SystemExit, GeneratorExit):
+        raise
+    except BaseException as error:
+        if file.refusal is not None:
+            raise file.refusal from error
+        raise
+
+
+class _Remembering(io.FileIO):
+    """A file that remembers why it could not be written; the compressor only says that it could not."""
+
+    refusal: OSError | None = None
+
+    def write(self, data: Any, /) -> int:
+        """Write what there is room for; returns the number of bytes."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            self.refusal = error
+            raise
 
 
 def _colours_as_16_bit(attributes: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -9,6 +9,7 @@ import logging
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any
 
 import numpy as np
@@ -124,7 +125,9 @@ def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
         columns = {axis: cloud.xyz[:, index] for index, axis in enumerate(AXES)} | attributes
         array = record_array(columns, [values.dtype for values in columns.values()], len(cloud))
     with path.open("wb") as stream:
-        np.lib.format.write_array(stream, array, allow_pickle=False)
+        # Through its method: of a file numpy only tells how many values it did not write, not why.
+        writer: Any = SimpleNamespace(write=stream.write)
+        np.lib.format.write_array(writer, array, allow_pickle=False)
 
 
 def _write_archive(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:

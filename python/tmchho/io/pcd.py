@@ -281,7 +281,7 @@ def _write(cloud: PointCloud, path: Path, kept: Mapping[str, Any]) -> None:
         if encoding == "ascii":
             write_table(stream, list(split_columns(columns).values()), b" ")
         elif encoding == "binary":
-            record_array(columns, kinds, len(cloud)).tofile(stream)
+            stream.write(record_array(columns, kinds, len(cloud)).data)
         else:
             stream.write(_packed(columns))
 

@@ -242,7 +242,7 @@ def writing_ply_parts(
             if byte_order is None:
                 write_table(stream, list(columns.values()), b" ")
             else:
-                record_array(columns, map(np.dtype, kinds.values()), len(part), byte_order).tofile(stream)
+                stream.write(record_array(columns, map(np.dtype, kinds.values()), len(part), byte_order).data)
 
         yield put
 

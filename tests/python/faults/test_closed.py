@@ -45,8 +45,8 @@ MODULES = (
         "asyncio",
     ),
 )
-# A browser that is installed makes the PDF.
-ALLOWED = {"report/browser.py": {"subprocess"}}
+# A browser that is installed makes the PDF; Windows is asked how much memory it has.
+ALLOWED = {"report/browser.py": {"subprocess"}, "room.py": {"ctypes"}}
 
 
 def trees() -> Iterator[tuple[str, ast.Module]]:
@@ -87,7 +87,7 @@ def breaches(name: str, tree: ast.Module) -> Iterator[str]:
 
 def test_nothing_unpickles_evaluates_or_opens_a_connection() -> None:
     found = list(trees())
-    assert len(found) > 100
+    assert len(found) > 90
     assert [breach for name, tree in found for breach in breaches(name, tree)] == []
 
 

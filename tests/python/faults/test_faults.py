@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from faults import Faults, full_disks, interrupts, kills, little_memory, two_at_once
+from faults import Faults, changes, full_disks, interrupts, kills, little_memory, two_at_once
+from faults import read_only as read_only_folders
 
 import tmchho
 from tmchho import room
@@ -30,8 +32,16 @@ def test_interrupts_leave_nothing(faults: Faults) -> None:
     assert "3 interrupts" in interrupts(faults, 3, random.Random(2), within_s=None)
 
 
+def test_inputs_that_change_are_noticed(faults: Faults) -> None:
+    assert "4 inputs changed" in changes(faults, 4, random.Random(3))
+
+
 def test_a_full_disk_is_said_and_leaves_nothing(faults: Faults) -> None:
     assert "exit 5" in full_disks(faults)
+
+
+def test_a_read_only_folder_is_refused(faults: Faults) -> None:
+    assert "exit 5, nothing left" in read_only_folders(faults)
 
 
 def test_little_memory_is_refused_with_a_figure(faults: Faults) -> None:
@@ -104,11 +114,11 @@ def test_only_what_dead_processes_left_is_swept(tmp_path: Path) -> None:
     os.waitpid(ended, 0)
     mark = own_mark()
     dead = mark.rpartition("-")[0] + f"-{ended}"
-    left = [f".fused.{dead}-00000000.laz", f".{dead}-abcd"]
+    left = [f".fused.{dead}-00000000.laz", f".{dead}-abcd", f".probe-{dead}-00000000"]
     kept = [f".fused.{mark}-00000000.laz", "fused.laz", ".tmchho-00000000-1-other", "notes-tmchho-1-.txt"]
     (tmp_path / left[1]).mkdir()
     (tmp_path / left[1] / "points").write_bytes(b"1")
-    for name in (left[0], *kept):
+    for name in (left[0], left[2], *kept):
         (tmp_path / name).write_bytes(b"1")
     sweep(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(kept)
@@ -123,6 +133,29 @@ def test_what_appeared_meanwhile_is_not_mixed_with_ours(tmp_path: Path) -> None:
         write_together(tmp_path, {"result.json": late, "fused.laz": lambda path: path.write_text("ours")})
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
     assert (tmp_path / "result.json").read_text() == "theirs"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_among_the_names_finds_all_or_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    def interrupt(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before, replace = signal.signal(number, interrupt), os.replace
+
+    def interrupted(source: Path, target: Path) -> None:
+        replace(source, target)
+        signal.raise_signal(number)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            write_together(tmp_path, {name: lambda path: path.write_text("1") for name in ("a", "b", "c")})
+        assert signal.getsignal(number) is interrupt
+    finally:
+        signal.signal(number, before)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c"]
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[3]
+PAGE = REPOSITORY / "docs" / "failures.md"
 ROW = re.compile(r"^\| (`.+?`.*?) \|", re.MULTILINE)
 
 
@@ -17,7 +18,7 @@ def said() -> str:
 
 
 def test_every_message_is_one_of_ours() -> None:
-    page = (REPOSITORY / "docs" / "failures.md").read_text(encoding="utf-8").partition("\n## Python")[0]
+    page = PAGE.read_text(encoding="utf-8").partition("\n## What happens when")[0]
     code, n_found = said(), 0
     for cell in ROW.findall(page):
         for message in re.findall(r"`([^`]+)`", cell):
@@ -28,3 +29,20 @@ def test_every_message_is_one_of_ours() -> None:
                     assert piece in code, (message, piece)
                     n_found += 1
     assert n_found > 30
+
+
+def test_every_situation_has_an_exit_code_and_a_test() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    known = set(re.findall(r"^\| (\d+) \|", page, re.MULTILINE))
+    rows = page.partition("## What happens when")[2].partition("\n## ")[0].splitlines()
+    rows = [row for row in rows if row.startswith("|")][2:]
+    assert len(rows) > 40
+    for row in rows:
+        situation, _, codes, tests = (cell.strip() for cell in row.strip("|").split("|"))
+        assert set(codes.split(", ")) <= known, situation
+        named = [test.split("::") for test in re.findall(r"`([^`]+)`", tests)]
+        assert named, situation
+        for path, name in named:
+            text = (REPOSITORY / path).read_text(encoding="utf-8")
+            pattern = rf"#\[test\]\s+fn {name}\(" if path.endswith(".rs") else rf"^def {name}\("
+            assert re.search(pattern, text, re.MULTILINE), (situation, path, name)
