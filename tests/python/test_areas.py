@@ -244,7 +244,7 @@ def test_files_that_hold_no_areas_are_refused(
 def test_a_line_is_no_area(tmp_path: Path) -> None:
     path = tmp_path / "line.geojson"
     path.write_text('{"type": "LineString", "coordinates": [[0, 0], [1, 1]]}')
-    with pytest.raises(errors.InvalidArgumentError, match="no surface"):
+    with pytest.raises(errors.ReadError, match=r"line\.geojson: .*no surface"):
         read_areas(path)
     with pytest.raises(errors.InvalidArgumentError, match="areas must be"):
         tmchho.evaluate([[0.0, 0, 0]], [[0.0, 0, 0]], areas=[3])  # type: ignore[list-item]

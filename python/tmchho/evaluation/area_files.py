@@ -64,7 +64,7 @@ def read_areas(path: str | os.PathLike[str], crs: str | None = None) -> tuple[Ar
     Raises
     ------
     ReadError
-        If the file cannot be read or holds no polygon.
+        If the file cannot be read, or holds no polygon or one without a surface.
     InvalidArgumentError
         If a coordinate reference system has to be converted and pyproj is missing or does not know it.
     """
@@ -93,7 +93,10 @@ def read_areas(path: str | os.PathLike[str], crs: str | None = None) -> tuple[Ar
         raise ReadError(f"{path}: holds no polygon; draw at least one area")
     converted = _in_system(path, found, crs)
     names = _distinct(item.name for item in converted)
-    return tuple(Area(name, item.geometry) for name, item in zip(names, converted, strict=True))
+    try:
+        return tuple(Area(name, item.geometry) for name, item in zip(names, converted, strict=True))
+    except InvalidArgumentError as error:
+        raise ReadError(f"{path}: {error}") from error
 
 
 def _read_geojson(path: Path) -> list[_Named]:

@@ -7,6 +7,7 @@ Why kept: a report is made from results alone, also years later, when the clouds
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -28,6 +29,17 @@ MAX_POINTS = 300_000
 N_STEPS = 65_535
 NO_COLOUR = 150  # grey
 _COLOURS = ("red", "green", "blue")
+# What damaged archives end in: names, shapes and packing that are none, encryption, sizes beyond all memory.
+_DAMAGE = (
+    KeyError,
+    ValueError,
+    TypeError,
+    EOFError,
+    MemoryError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 class Fusion(Protocol):
@@ -118,15 +130,15 @@ class ReportPoints:
         try:
             with np.load(path, allow_pickle=False) as file:
                 values: dict[str, Any] = {field.name: file[field.name] for field in fields(cls)}
+            values["n_target"] = int(values["n_target"])
+            values["cut_thickness"] = float(values["cut_thickness"])
         except OSError as error:
             raise ReadError(
                 f"{path}: cannot be read ({error.strerror or error}); check the rights"
             ) from error
-        except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        except _DAMAGE as error:
             raise ReadError(f"{path}: does not hold the points of a report; register once more") from error
-        return cls(
-            **values | {"n_target": int(values["n_target"]), "cut_thickness": float(values["cut_thickness"])}
-        )
+        return cls(**values)
 
 
 def points_of(
