@@ -84,8 +84,8 @@ class Station:
             if self.position is None:
                 raise InvalidArgumentError(f"{where}: position_sigma_m needs a position")
             given = self.position_sigma_m
-            shape = () if np.ndim(given) == 0 else (3,)
-            sigma = np.broadcast_to(checked_array(f"{where}: position_sigma_m", given, shape), (3,))
+            wanted: tuple[int, ...] = (3,) if isinstance(given, Sequence | np.ndarray) else ()
+            sigma = np.broadcast_to(checked_array(f"{where}: position_sigma_m", given, wanted), (3,))
             if not (np.isfinite(sigma) & (sigma > 0)).all():
                 raise InvalidArgumentError(f"{where}: position_sigma_m must be above 0")
             object.__setattr__(self, "position_sigma_m", as_tuples(sigma))
