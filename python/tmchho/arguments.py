@@ -73,7 +73,7 @@ def checked_array(name: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.f
         array = np.asarray(value)
         if array.dtype.kind not in "iufO":
             raise TypeError(f"dtype {array.dtype}")
-        array = np.ascontiguousarray(array, dtype=np.float64)
+        array = np.asarray(array, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise InvalidArgumentError(f"{name} must hold real numbers ({error})") from error
     fits = array.ndim == len(shape) and all(

@@ -22,12 +22,12 @@ from tmchho.simulate import SimulatedNetwork, make_network, make_site, random_po
 Array = np.ndarray
 
 
-PLACES = ((-9.0, -7.0), (8.0, -8.0), (9.0, 9.0), (-6.0, 10.0))
+PLACES = ((-9.0, -7.0), (8.0, -8.0), (9.0, 9.0), (-6.0, 10.0), (0.0, 1.0))
 
 
 @cache
 def surveyed() -> SimulatedNetwork:
-    """Four scans whose stations stand so near to each other that every pair overlaps."""
+    """Five scans whose stations stand so near to each other that every pair overlaps."""
     site = make_site(size_m=80.0, area_ratio=1.0, seed=3)
     clouds, poses = [], []
     for number, place in enumerate(PLACES):
