@@ -155,8 +155,8 @@ def test_the_command_line_says_what_was_assumed(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("1 2\n3 4\n", "line 1 has 2 values; x, y and z are needed"),
-        ("# c\n\n7.5\n", "line 3 has 1 value; x, y and z are needed"),
+        ("1 2\n3 4\n", "line 1 has 2 values; x, y and z are needed; choose a table with all three"),
+        ("# c\n\n7.5\n", "line 3 has 1 value; x, y and z are needed; choose a table with all three"),
         ("1 2 3\n4 5\n", "line 2 has 2 values where 3 are expected"),
         ("1 2 3\n\n# c\n4 5 6 7\n", "line 4 has 4 values where 3 are expected"),
         ("1,2,3\n4,five,6\n", "line 2, column 2: 'five' is not a number"),
@@ -169,12 +169,12 @@ def test_the_command_line_says_what_was_assumed(
         ("ncols 4\nnrows 4\n1 2 3 4\n", "is an ESRI grid of heights"),
         ("rows\n4\nnrows 4\n1 2 3 4\n", "line 3 is not a line of numbers"),
         ("1a 2 3 4\n5 6 7 8\n9 10 11 12\n", "line 1, column 1 is not a number, but those below it are"),
-        ("Dear Sir,\n", "has no line of numbers (line 1 begins 'Dear Sir,')"),
+        ("Dear Sir,\n", "has no line of numbers (line 1 begins 'Dear Sir,'); choose a point cloud"),
         ("# nothing but this\n", "contains no points"),
         ("\n \n", "contains no points"),
         ("5\n", "contains no points"),
-        ("2\n1 2 3\n4 5 6\n3\n7 8 9\n", "is truncated: expected 5 points, file holds 3"),
-        ("5\n1 2 3\n4 5 6\n", "is truncated: expected 5 points, file holds 2"),
+        ("2\n1 2 3\n4 5 6\n3\n7 8 9\n", "is truncated: expected 5 points, file holds 3; copy it again"),
+        ("5\n1 2 3\n4 5 6\n", "is truncated: expected 5 points, file holds 2; copy it again"),
         ("99999999999999999999\n1 2 3\n", "expected 99999999999999999999 points, file holds 1"),
     ],
 )

@@ -90,7 +90,9 @@ def _read(path: Path) -> PointCloud:
         first_line=layout.first_line,
     )
     if layout.n_announced is not None and len(table) < layout.n_announced:
-        raise ReadError(f"is truncated: expected {layout.n_announced} points, file holds {len(table)}")
+        raise ReadError(
+            f"is truncated: expected {layout.n_announced} points, file holds {len(table)}; copy it again"
+        )
     if layout.n_announced is not None and len(table) > layout.n_announced:
         logger.warning("%s: announces %d points and holds %d", path, layout.n_announced, len(table))
     columns = _named_columns(table, layout, path)
@@ -143,13 +145,17 @@ def _recognise(data: bytes) -> _Layout:
             n_announced = int(line)
         elif numeric and len(numeric) == n_columns:
             plural = "value" if n_columns == 1 else "values"
-            raise ReadError(f"line {number} has {n_columns} {plural}; x, y and z are needed")
+            raise ReadError(
+                f"line {number} has {n_columns} {plural}; x, y and z are needed; choose a table with all three"
+            )
         elif header is None:
             header = (number, line)
         else:
             raise ReadError(f"line {number} is not a line of numbers; remove what is not points")
     if header is not None:
-        raise ReadError(f"has no line of numbers (line {header[0]} begins '{header[1][:40]}')")
+        raise ReadError(
+            f"has no line of numbers (line {header[0]} begins '{header[1][:40]}'); choose a point cloud"
+        )
     raise ReadError("contains no points; choose a file with points")
 
 

@@ -62,7 +62,7 @@ def make_page(
     """
     unit, unit_note = _unit(document)
     radius = hole_radius(document)
-    fields = {} if points is None else _fields(points, document, unit)
+    fields = {} if points is None else _fields(points, unit)
     made = _charts(document, points, fields, unit, radius)
     if change is not None:
         made["significant_map"] = _change_map(change, document, unit)
@@ -134,7 +134,7 @@ def settings_lines(config: Mapping[str, Any], above: str = "") -> list[str]:
     return lines
 
 
-def _fields(points: ReportPoints, document: Mapping[str, Any], unit: str) -> dict[str, Field]:
+def _fields(points: ReportPoints, unit: str) -> dict[str, Field]:
     """Return the values that points are coloured by, under the names of their buttons."""
     has_counterpart = np.isfinite(points.distance) & ~points.fills_hole
     if not has_counterpart.any():
