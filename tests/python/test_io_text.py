@@ -155,8 +155,8 @@ def test_the_command_line_says_what_was_assumed(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("1 2\n3 4\n", "line 1 has 2 values; x, y and z are needed; choose a table with all three"),
-        ("# c\n\n7.5\n", "line 3 has 1 value; x, y and z are needed; choose a table with all three"),
+        ("1 2\n3 4\n", "line 1 has 2 values; x, y and z are needed; choose one with all three"),
+        ("# c\n\n7.5\n", "line 3 has 1 value; x, y and z are needed; choose one with all three"),
         ("1 2 3\n4 5\n", "line 2 has 2 values where 3 are expected"),
         ("1 2 3\n\n# c\n4 5 6 7\n", "line 4 has 4 values where 3 are expected"),
         ("1,2,3\n4,five,6\n", "line 2, column 2: 'five' is not a number"),

@@ -146,7 +146,7 @@ def _recognise(data: bytes) -> _Layout:
         elif numeric and len(numeric) == n_columns:
             plural = "value" if n_columns == 1 else "values"
             raise ReadError(
-                f"line {number} has {n_columns} {plural}; x, y and z are needed; choose a table with all three"
+                f"line {number} has {n_columns} {plural}; x, y and z are needed; choose one with all three"
             )
         elif header is None:
             header = (number, line)
