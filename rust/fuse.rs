@@ -123,50 +123,97 @@ pub fn fuse(
     options: &FuseOptions,
     progress: &Progress<'_>,
 ) -> Result<FusedCloud> {
-    if target_index.len() != target.len() || source_index.len() != source.len() {
-        return Err(Error::argument(
-            "index",
-            "must be that of its cloud's points",
-        ));
-    }
-    let hole_radius_m = match options.hole_radius_m {
-        Some(radius_m) => require_positive("hole_radius_m", radius_m)?,
-        None => derived_hole_radius_m(target_index, source_index),
-    };
-    let target_from_source = target_from_source.into();
-    let source_points = moved(source.points(), &target_from_source, progress)?;
-    let target_points = moved(target.points(), &target_from_source.inverse(), progress)?;
-    let target_distances_m = distances_m(&target_points, source_index, progress)?;
-    let source_nearest = target_index.nearest_all(&source_points, progress)?;
-    let repeated = match options.mode {
-        FuseMode::Dedup => {
-            // Beyond the hole radius a point is no repetition, whatever the density.
-            let in_reach = |n: &Neighbor| (n.distance_sq.sqrt() <= hole_radius_m).then_some(*n);
-            let nearest: Vec<_> = source_nearest.iter().map(in_reach).collect();
-            let scale = target_from_source.scale;
-            overlap::repeated(&nearest, source_index, scale, target_index, progress)?
-        }
-        FuseMode::Merge | FuseMode::FillHoles => vec![false; source.len()],
-    };
+    let compared = Compared::new(
+        (target, target_index),
+        (source, source_index),
+        target_from_source.into(),
+        options,
+        progress,
+    )?;
+    compared.join(target, source, options.mode)
+}
 
-    let mut fused = FusedCloud::empty(hole_radius_m);
-    for (i, distance_m) in target_distances_m.into_iter().enumerate() {
-        let given_index = target.given_index(i) as u32;
-        fused.push(target.points()[i], Origin::Target, given_index, distance_m);
-    }
-    for (i, nearest) in source_nearest.into_iter().enumerate() {
-        let distance_m = nearest.distance_sq.sqrt();
-        if repeated[i] {
-            fused.n_repeated += 1;
-        } else if options.mode != FuseMode::FillHoles || distance_m > hole_radius_m {
-            let given_index = source.given_index(i) as u32;
-            fused.push(source_points[i], Origin::Source, given_index, distance_m);
+/// All that the indices are needed for, so that who is short of memory can give them up before the
+/// clouds are joined.
+pub(crate) struct Compared {
+    hole_radius_m: f64,
+    /// The source where the target lies, in the target's local coordinates.
+    source_points: Vec<Point>,
+    target_distances_m: Vec<f64>,
+    source_distances_m: Vec<f64>,
+    /// Whether a point of the source repeats one of the target; empty where nobody asked.
+    repeated: Vec<bool>,
+}
+
+impl Compared {
+    /// As [`fuse`].
+    pub(crate) fn new(
+        (target, target_index): (&Cloud, &NeighborIndex),
+        (source, source_index): (&Cloud, &NeighborIndex),
+        target_from_source: Similarity,
+        options: &FuseOptions,
+        progress: &Progress<'_>,
+    ) -> Result<Self> {
+        if target_index.len() != target.len() || source_index.len() != source.len() {
+            return Err(Error::argument(
+                "index",
+                "must be that of its cloud's points",
+            ));
         }
+        let hole_radius_m = match options.hole_radius_m {
+            Some(radius_m) => require_positive("hole_radius_m", radius_m)?,
+            None => derived_hole_radius_m(target_index, source_index),
+        };
+        let target_distances_m = {
+            let moved = moved(target.points(), &target_from_source.inverse(), progress)?;
+            distances_m(&source_index.nearest_all(&moved, progress)?)
+        };
+        let source_points = moved(source.points(), &target_from_source, progress)?;
+        let source_nearest = target_index.nearest_all(&source_points, progress)?;
+        let repeated = match options.mode {
+            FuseMode::Dedup => {
+                // Beyond the hole radius a point is no repetition, whatever the density.
+                let in_reach = |n: &Neighbor| (n.distance_sq.sqrt() <= hole_radius_m).then_some(*n);
+                let nearest: Vec<_> = source_nearest.iter().map(in_reach).collect();
+                let scale = target_from_source.scale;
+                overlap::repeated(&nearest, source_index, scale, target_index, progress)?
+            }
+            FuseMode::Merge | FuseMode::FillHoles => Vec::new(),
+        };
+        Ok(Self {
+            hole_radius_m,
+            source_points,
+            target_distances_m,
+            source_distances_m: distances_m(&source_nearest),
+            repeated,
+        })
     }
-    fused.area_filled_by_source_m2 = fused.area_filled_by(Origin::Source)?;
-    fused.area_filled_by_target_m2 = fused.area_filled_by(Origin::Target)?;
-    fused.move_by(target.origin());
-    Ok(fused)
+
+    /// The fused cloud.
+    pub(crate) fn join(self, target: &Cloud, source: &Cloud, mode: FuseMode) -> Result<FusedCloud> {
+        let mut fused = FusedCloud::empty(self.hole_radius_m);
+        for (i, distance_m) in self.target_distances_m.into_iter().enumerate() {
+            let given_index = target.given_index(i) as u32;
+            fused.push(target.points()[i], Origin::Target, given_index, distance_m);
+        }
+        for (i, distance_m) in self.source_distances_m.into_iter().enumerate() {
+            if self.repeated.get(i).is_some_and(|repeats| *repeats) {
+                fused.n_repeated += 1;
+            } else if mode != FuseMode::FillHoles || distance_m > self.hole_radius_m {
+                let given_index = source.given_index(i) as u32;
+                fused.push(
+                    self.source_points[i],
+                    Origin::Source,
+                    given_index,
+                    distance_m,
+                );
+            }
+        }
+        fused.area_filled_by_source_m2 = fused.area_filled_by(Origin::Source)?;
+        fused.area_filled_by_target_m2 = fused.area_filled_by(Origin::Target)?;
+        fused.move_by(target.origin());
+        Ok(fused)
+    }
 }
 
 fn derived_hole_radius_m(target_index: &NeighborIndex, source_index: &NeighborIndex) -> f64 {
@@ -178,9 +225,8 @@ fn moved(points: &[Point], pose: &Similarity, progress: &Progress<'_>) -> Result
     parallel::map_cheap(points.len(), progress, |i| pose.apply(&points[i]))
 }
 
-fn distances_m(from: &[Point], to: &NeighborIndex, progress: &Progress<'_>) -> Result<Vec<f64>> {
-    let nearest = to.nearest_all(from, progress)?;
-    Ok(nearest.iter().map(|n| n.distance_sq.sqrt()).collect())
+fn distances_m(nearest: &[Neighbor]) -> Vec<f64> {
+    nearest.iter().map(|n| n.distance_sq.sqrt()).collect()
 }
 
 impl FusedCloud {

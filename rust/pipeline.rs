@@ -284,6 +284,8 @@ fn route(
     }
     log.keep();
 
+    // Room for the distances: the clouds that the verdict was about are not read again.
+    drop((source_cleaned, target_cleaned));
     log.begin(Stage::Evaluate, source.len(), target.len())?;
     let (source_pivot, target_pivot) = (prepared.source_pivot(), prepared.target_pivot());
     let about_pivots = prepared.about_pivots(&pose);

@@ -3,7 +3,7 @@
 use super::distances;
 use crate::cloud::{Cloud, Point};
 use crate::error::Result;
-use crate::fuse::{FuseOptions, FusedCloud, fuse};
+use crate::fuse::{Compared, FuseOptions, FusedCloud};
 use crate::neighbors::NeighborIndex;
 use crate::progress::{Event, Progress, Stage};
 use crate::similarity::Similarity;
@@ -63,13 +63,13 @@ pub fn fuse_clouds(
         .between_local_coordinates(source.origin(), target.origin());
     let source_index = NeighborIndex::new(source.points());
     let target_index = NeighborIndex::new(target.points());
-    fuse(
-        &target,
-        &target_index,
-        &source,
-        &source_index,
+    let compared = Compared::new(
+        (&target, &target_index),
+        (&source, &source_index),
         local,
         options,
         progress,
-    )
+    )?;
+    drop((source_index, target_index));
+    compared.join(&target, &source, options.mode)
 }
