@@ -49,9 +49,9 @@ FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "f1": lambda x: (x * x).sum(axis=-1),
     "f5": lambda x: (x * x - 10 * np.cos(2 * np.pi * x) + 10).sum(axis=-1),
 }
-# So many coordinates that a call takes some tenths of a millisecond, and as many iterations as in Table 3: in
-# the first ones the threads have not learned yet which way the search tends to go.
-DEAR_DIMENSION, DEAR_ITERATIONS = 800, 100
+# So many coordinates that a call takes a millisecond, and so many iterations that the first ones, in which the
+# threads have not learned yet which way the search tends to go, count little.
+DEAR_DIMENSION, DEAR_ITERATIONS = 1600, 50
 
 Run = Callable[[int], int]
 """Takes a seed, searches, and returns how often the function was called."""

@@ -4,7 +4,7 @@
 //! search that wants a single value leaves all threads but one idle. Where the objective is dear, the
 //! others therefore look ahead: a copy of the search is told what became of most points of that kind
 //! lately, better or not, and what it asks next is evaluated, too. If that was right, the next value is
-//! there when it is wanted; if not, it is thrown away. The search itself sees the same values in the
+//! there when it is wanted; if not, it is kept for a while. The search itself sees the same values in the
 //! same order.
 //! What to expect: with two threads seven to nine in ten of the values found ahead are used.
 //! To know: values thrown away are not counted as evaluations of the search, because they depend on
@@ -28,11 +28,15 @@ const TIMED_CALL: usize = 32;
 /// interrupted.
 const N_TIMED: usize = 4;
 
+/// So many values found ahead are remembered for each thread: a point that was not asked for next may be
+/// asked for soon, because the next hawk's way seldom depends on how this one fared.
+const REMEMBERED: usize = 8;
+
 /// Finds the values that a search asks for.
 pub(super) struct Evaluator<'a> {
     objective: &'a dyn Objective,
     values: Vec<f64>,
-    /// What the search may ask next, in the order in which it would.
+    /// What the search may ask, the oldest first.
     foreseen: VecDeque<Foreseen>,
     n_calls: usize,
     /// How many calls on end were worth sharing.
@@ -90,46 +94,46 @@ impl<'a> Evaluator<'a> {
 
     /// The values at the points that `search` asks for, in their order.
     pub(super) fn values(&mut self, search: &Search) -> &[f64] {
-        self.values.clear();
         let (points, limit) = (search.ask(), search.limit());
-        self.take_what_was_foreseen(points, limit);
-        if self.values.len() < points.len() {
+        let mut known: Vec<Option<f64>> = points.iter().map(|x| self.recall(x, limit)).collect();
+        if known.contains(&None) {
             let n_threads = parallel::n_threads();
             if self.n_dear >= N_TIMED && n_threads > 1 {
-                self.evaluate_and_look_ahead(search, n_threads);
+                self.evaluate_and_look_ahead(search, &mut known, n_threads);
             } else {
-                self.evaluate(points, limit);
+                self.evaluate(points, limit, &mut known);
             }
         }
+        self.values.clear();
+        self.values.extend(known.into_iter().flatten());
         if let (Some(contest), [value]) = (search.contest(), self.values.as_slice()) {
             self.habits.learn(*value, contest);
         }
         &self.values
     }
 
-    /// Takes the values that are there already, up to the first point that was not foreseen: from
-    /// there on the search has gone another way.
-    fn take_what_was_foreseen(&mut self, points: &[Vec<f64>], limit: f64) {
-        for point in points {
-            match self.foreseen.pop_front() {
-                Some(foreseen) if foreseen.is(point, limit) => self.values.push(foreseen.value),
-                _ => return self.foreseen.clear(),
-            }
-        }
+    /// A value that was found ahead.
+    fn recall(&mut self, point: &[f64], limit: f64) -> Option<f64> {
+        let at = self.foreseen.iter().position(|it| it.is(point, limit))?;
+        self.foreseen.remove(at).map(|it| it.value)
     }
 
     /// Finds the values that are still missing; several threads share many of them.
-    fn evaluate(&mut self, points: &[Vec<f64>], limit: f64) {
-        let first = self.values.len();
-        let (value, duration) = self.first_value(&points[first], limit, points.len() > 1);
-        self.values.push(value);
-        let others = &points[first + 1..];
-        let value = |x: &Vec<f64>| value_at(self.objective, x, limit);
+    fn evaluate(&mut self, points: &[Vec<f64>], limit: f64, known: &mut [Option<f64>]) {
+        let missing: Vec<usize> = missing(known);
+        let (value, duration) = self.first_value(&points[missing[0]], limit, points.len() > 1);
+        known[missing[0]] = Some(value);
+        let others = &missing[1..];
+        let value = |i: usize| value_at(self.objective, &points[i], limit);
         if duration * others.len() as u32 > WORTH_SHARING {
-            let shared = parallel::map(others.len(), |i| value(&others[i]));
-            self.values.extend(shared);
+            let shared = parallel::map(others.len(), |k| value(others[k]));
+            for (i, value) in others.iter().zip(shared) {
+                known[*i] = Some(value);
+            }
         } else {
-            self.values.extend(others.iter().map(value));
+            for i in others {
+                known[*i] = Some(value(*i));
+            }
         }
     }
 
@@ -152,30 +156,75 @@ impl<'a> Evaluator<'a> {
 
     /// Finds the values that are still missing and, by the threads that this would leave idle, those
     /// at the points that the search would ask for next if it went on as it has by habit.
-    fn evaluate_and_look_ahead(&mut self, search: &Search, n_threads: usize) {
+    fn evaluate_and_look_ahead(
+        &mut self,
+        search: &Search,
+        known: &mut [Option<f64>],
+        n_threads: usize,
+    ) {
         let (points, limit) = (search.ask(), search.limit());
-        let first = self.values.len();
-        let n_missing = points.len() - first;
-        let wanted = points[first..].iter().map(|point| (point.clone(), limit));
-        let mut wanted: Vec<(Vec<f64>, f64)> = wanted.collect();
+        let missing = missing(known);
+        let mut wanted: Vec<(Vec<f64>, f64)> = missing
+            .iter()
+            .map(|i| (points[*i].clone(), limit))
+            .collect();
         let mut guesses = self.habits.guess(search);
-        guesses[..first].copy_from_slice(&self.values);
-        let n = n_missing.next_multiple_of(n_threads);
-        look_ahead(search, &guesses, self.habits, n, &mut wanted);
+        for (guess, known) in guesses.iter_mut().zip(known.iter()) {
+            *guess = known.unwrap_or(*guess);
+        }
+        let n = wanted.len().next_multiple_of(n_threads);
+        self.look_ahead(search, &guesses, n, &mut wanted);
         let objective = self.objective;
         let values = parallel::map(wanted.len(), |i| {
             value_at(objective, &wanted[i].0, wanted[i].1)
         });
-        self.values.extend(&values[..n_missing]);
-        let foreseen = wanted.into_iter().zip(values).skip(n_missing);
-        self.foreseen = foreseen
-            .map(|((point, limit), value)| Foreseen {
+        for (i, value) in missing.iter().zip(&values) {
+            known[*i] = Some(*value);
+        }
+        let foreseen = wanted.into_iter().zip(values).skip(missing.len());
+        self.foreseen
+            .extend(foreseen.map(|((point, limit), value)| Foreseen {
                 point,
                 limit,
                 value,
-            })
-            .collect();
+            }));
+        let n_too_many = (self.foreseen.len()).saturating_sub(REMEMBERED * n_threads);
+        self.foreseen.drain(..n_too_many);
     }
+
+    /// Adds to `wanted`, until it has `n` points, what `search` would ask for next, with the limits, if
+    /// the values at the points that it asks for now were `guesses`, and all others as they are by
+    /// habit, where they are not known already.
+    fn look_ahead(
+        &self,
+        search: &Search,
+        guesses: &[f64],
+        n: usize,
+        wanted: &mut Vec<(Vec<f64>, f64)>,
+    ) {
+        if wanted.len() >= n {
+            return;
+        }
+        let mut fork = search.fork();
+        let mut told = fork.tell(guesses);
+        while told.is_ok() && !fork.is_over() && wanted.len() < n {
+            let limit = fork.limit();
+            let mut values = self.habits.guess(&fork);
+            for (point, value) in fork.ask().iter().zip(&mut values) {
+                match self.foreseen.iter().find(|it| it.is(point, limit)) {
+                    Some(foreseen) => *value = foreseen.value,
+                    None if wanted.len() < n => wanted.push((point.clone(), limit)),
+                    None => {}
+                }
+            }
+            told = fork.tell(&values);
+        }
+    }
+}
+
+/// Which values are not known.
+fn missing(known: &[Option<f64>]) -> Vec<usize> {
+    (0..known.len()).filter(|i| known[*i].is_none()).collect()
 }
 
 fn value_at(objective: &dyn Objective, x: &[f64], limit: f64) -> f64 {
@@ -183,29 +232,6 @@ fn value_at(objective: &dyn Objective, x: &[f64], limit: f64) -> f64 {
         objective.evaluate(x)
     } else {
         objective.evaluate_below(x, limit)
-    }
-}
-
-/// Adds to `wanted`, until it has `n` points, what `search` would ask for next, with the limits, if
-/// the values at the points that it asks for now were `guesses`, and all others as they are by habit.
-fn look_ahead(
-    search: &Search,
-    guesses: &[f64],
-    habits: Habits,
-    n: usize,
-    wanted: &mut Vec<(Vec<f64>, f64)>,
-) {
-    if wanted.len() >= n {
-        return;
-    }
-    let mut fork = search.fork();
-    let mut told = fork.tell(guesses);
-    while told.is_ok() && !fork.is_over() && wanted.len() < n {
-        let limit = fork.limit();
-        let n_left = n - wanted.len();
-        let points = fork.ask().iter().take(n_left);
-        wanted.extend(points.map(|point| (point.clone(), limit)));
-        told = fork.tell(&habits.guess(&fork));
     }
 }
 
@@ -272,6 +298,7 @@ mod tests {
                 let serially = options.minimize(&problem, &problem.bounds().unwrap(), 4);
                 assert_eq!(found, serially.unwrap());
                 let gain = found.n_evaluations as f64 / n_rounds as f64;
+
                 assert!(gain > 1.8, "{method:?} {name}: {gain}");
             }
         }
@@ -283,15 +310,19 @@ mod tests {
         for method in [Method::Tmchho, Method::Hho, Method::Doa] {
             let options = SwarmOptions::new(method);
             for share in [0.0, 1.0] {
-                let habits = Habits([share; Contest::N_KINDS]);
+                let evaluator = Evaluator {
+                    habits: Habits([share; Contest::N_KINDS]),
+                    ..Evaluator::new(&|_: &[f64]| 0.0)
+                };
+                let guess = |search: &Search| evaluator.habits.guess(search);
                 let mut search = options.search(&bounds, 5, &[]).unwrap();
                 search.tell(&[1.0; 30]).unwrap();
                 let mut ahead = Vec::new();
-                look_ahead(&search, &habits.guess(&search), habits, 70, &mut ahead);
+                evaluator.look_ahead(&search, &guess(&search), 70, &mut ahead);
                 assert_eq!(ahead.len(), 70);
                 let mut ahead = ahead.into_iter();
                 while ahead.len() > 0 {
-                    search.tell(&habits.guess(&search)).unwrap();
+                    search.tell(&guess(&search)).unwrap();
                     for (asked, foreseen) in search.ask().iter().zip(&mut ahead) {
                         assert_eq!((asked, search.limit()), (&foreseen.0, foreseen.1));
                     }
