@@ -94,18 +94,13 @@ impl<'a> Evaluator<'a> {
 
     /// The values at the points that `search` asks for, in their order.
     pub(super) fn values(&mut self, search: &Search) -> &[f64] {
-        let (points, limit) = (search.ask(), search.limit());
-        let mut known: Vec<Option<f64>> = points.iter().map(|x| self.recall(x, limit)).collect();
-        if known.contains(&None) {
-            let n_threads = parallel::n_threads();
-            if self.n_dear >= N_TIMED && n_threads > 1 {
-                self.evaluate_and_look_ahead(search, &mut known, n_threads);
-            } else {
-                self.evaluate(points, limit, &mut known);
-            }
-        }
         self.values.clear();
-        self.values.extend(known.into_iter().flatten());
+        if self.n_dear >= N_TIMED && parallel::n_threads() > 1 {
+            self.evaluate_and_look_ahead(search);
+        } else {
+            self.foreseen.clear();
+            self.evaluate(search.ask(), search.limit());
+        }
         if let (Some(contest), [value]) = (search.contest(), self.values.as_slice()) {
             self.habits.learn(*value, contest);
         }
@@ -118,22 +113,19 @@ impl<'a> Evaluator<'a> {
         self.foreseen.remove(at).map(|it| it.value)
     }
 
-    /// Finds the values that are still missing; several threads share many of them.
-    fn evaluate(&mut self, points: &[Vec<f64>], limit: f64, known: &mut [Option<f64>]) {
-        let missing: Vec<usize> = missing(known);
-        let (value, duration) = self.first_value(&points[missing[0]], limit, points.len() > 1);
-        known[missing[0]] = Some(value);
-        let others = &missing[1..];
-        let value = |i: usize| value_at(self.objective, &points[i], limit);
+    /// Finds the values; several threads share many of them.
+    fn evaluate(&mut self, points: &[Vec<f64>], limit: f64) {
+        let Some((first, others)) = points.split_first() else {
+            return;
+        };
+        let (value, duration) = self.first_value(first, limit, !others.is_empty());
+        self.values.push(value);
+        let value = |x: &Vec<f64>| value_at(self.objective, x, limit);
         if duration * others.len() as u32 > WORTH_SHARING {
-            let shared = parallel::map(others.len(), |k| value(others[k]));
-            for (i, value) in others.iter().zip(shared) {
-                known[*i] = Some(value);
-            }
+            let shared = parallel::map(others.len(), |i| value(&others[i]));
+            self.values.extend(shared);
         } else {
-            for i in others {
-                known[*i] = Some(value(*i));
-            }
+            self.values.extend(others.iter().map(value));
         }
     }
 
@@ -154,42 +146,40 @@ impl<'a> Evaluator<'a> {
         (value, duration)
     }
 
-    /// Finds the values that are still missing and, by the threads that this would leave idle, those
+    /// Finds the values that were not found ahead and, by the threads that this would leave idle, those
     /// at the points that the search would ask for next if it went on as it has by habit.
-    fn evaluate_and_look_ahead(
-        &mut self,
-        search: &Search,
-        known: &mut [Option<f64>],
-        n_threads: usize,
-    ) {
+    fn evaluate_and_look_ahead(&mut self, search: &Search) {
         let (points, limit) = (search.ask(), search.limit());
-        let missing = missing(known);
-        let mut wanted: Vec<(Vec<f64>, f64)> = missing
-            .iter()
-            .map(|i| (points[*i].clone(), limit))
-            .collect();
-        let mut guesses = self.habits.guess(search);
-        for (guess, known) in guesses.iter_mut().zip(known.iter()) {
-            *guess = known.unwrap_or(*guess);
-        }
-        let n = wanted.len().next_multiple_of(n_threads);
-        self.look_ahead(search, &guesses, n, &mut wanted);
-        let objective = self.objective;
-        let values = parallel::map(wanted.len(), |i| {
-            value_at(objective, &wanted[i].0, wanted[i].1)
-        });
-        for (i, value) in missing.iter().zip(&values) {
-            known[*i] = Some(*value);
-        }
-        let foreseen = wanted.into_iter().zip(values).skip(missing.len());
-        self.foreseen
-            .extend(foreseen.map(|((point, limit), value)| Foreseen {
+        let mut known: Vec<Option<f64>> = points.iter().map(|x| self.recall(x, limit)).collect();
+        let missing: Vec<usize> = (0..points.len()).filter(|i| known[*i].is_none()).collect();
+        if !missing.is_empty() {
+            let n_threads = parallel::n_threads();
+            let wanted = missing.iter().map(|i| (points[*i].clone(), limit));
+            let mut wanted: Vec<(Vec<f64>, f64)> = wanted.collect();
+            let mut guesses = self.habits.guess(search);
+            for (guess, known) in guesses.iter_mut().zip(&known) {
+                *guess = known.unwrap_or(*guess);
+            }
+            let n = wanted.len().next_multiple_of(n_threads);
+            self.look_ahead(search, &guesses, n, &mut wanted);
+            let objective = self.objective;
+            let values = parallel::map(wanted.len(), |i| {
+                value_at(objective, &wanted[i].0, wanted[i].1)
+            });
+            for (i, value) in missing.iter().zip(&values) {
+                known[*i] = Some(*value);
+            }
+            let ahead = wanted.into_iter().zip(values).skip(missing.len());
+            let ahead = ahead.map(|((point, limit), value)| Foreseen {
                 point,
                 limit,
                 value,
-            }));
-        let n_too_many = (self.foreseen.len()).saturating_sub(REMEMBERED * n_threads);
-        self.foreseen.drain(..n_too_many);
+            });
+            self.foreseen.extend(ahead);
+            let n_too_many = (self.foreseen.len()).saturating_sub(REMEMBERED * n_threads);
+            self.foreseen.drain(..n_too_many);
+        }
+        self.values.extend(known.into_iter().flatten());
     }
 
     /// Adds to `wanted`, until it has `n` points, what `search` would ask for next, with the limits, if
@@ -220,11 +210,6 @@ impl<'a> Evaluator<'a> {
             told = fork.tell(&values);
         }
     }
-}
-
-/// Which values are not known.
-fn missing(known: &[Option<f64>]) -> Vec<usize> {
-    (0..known.len()).filter(|i| known[*i].is_none()).collect()
 }
 
 fn value_at(objective: &dyn Objective, x: &[f64], limit: f64) -> f64 {
