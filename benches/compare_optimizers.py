@@ -49,7 +49,7 @@ FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "f1": lambda x: (x * x).sum(axis=-1),
     "f5": lambda x: (x * x - 10 * np.cos(2 * np.pi * x) + 10).sum(axis=-1),
 }
-# So many coordinates that a call takes a millisecond, and so many iterations that the first ones count little:
+# So many coordinates that a call takes a millisecond, and so many iterations that the first few count little:
 # the threads have not learned yet which way the search tends to go.
 DEAR_DIMENSION, DEAR_ITERATIONS = 1600, 50
 
