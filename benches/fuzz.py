@@ -131,6 +131,11 @@ def read_only(points: Any) -> Any:
     return kept
 
 
+def column(points: Any) -> Any:
+    """Return the first coordinate of each point, where there are points."""
+    return points[:, 0] if isinstance(points, np.ndarray) and points.ndim == 2 else points
+
+
 def write(given: Any, other: Any, draw: Draw) -> None:
     """Write a cloud with an attribute, and read it back."""
     suffix = draw.one(sorted({".las", ".laz", ".ply", ".pcd", ".npy", ".npz", ".xyz", ".pts", ".csv"}))
@@ -228,10 +233,10 @@ CALLS: tuple[tuple[int, str, Call], ...] = (
     (6, "matrix_to_euler", lambda a, b, d: tmchho.matrix_to_euler(d.matrix())),
     (4, "chaotic_sequence", lambda a, b, d: tmchho.chaotic_sequence(d.number(9), **d.options(seed=3))),
     (4, "levy_steps", lambda a, b, d: tmchho.levy_steps(d.number(9), **d.options(seed=3, factor=0.1))),
-    (4, "benchmark_value", lambda a, b, d: tmchho.benchmark_value(d.one(("f1", "f4", "x")), a)),
+    (4, "benchmark_value", lambda a, b, d: tmchho.benchmark_value(d.one(("f1", "x")), d.one((a, column(a))))),
     (4, "Transform", lambda a, b, d: tmchho.Transform.of(d.matrix()).apply(a)),
     (4, "PointCloud", lambda a, b, d: tmchho.moved(tmchho.PointCloud(a), d.matrix())),
-    (2, "DistanceStatistics", lambda a, b, d: tmchho.DistanceStatistics.of(a)),
+    (2, "DistanceStatistics", lambda a, b, d: tmchho.DistanceStatistics.of(d.one((a, column(a))))),
     (3, "write", write),
     (2, "Optimizer", told),
     (2, "Station", station),
