@@ -82,8 +82,10 @@ def read_areas(path: str | os.PathLike[str], crs: str | None = None) -> tuple[Ar
     except (UnicodeDecodeError, ValueError, shapely.errors.ShapelyError) as error:
         if isinstance(error, InvalidArgumentError):
             raise
+        # What the libraries below say may end with a new line.
+        what = " ".join(str(error).split())
         raise ReadError(
-            f"{path}: does not hold areas that can be read ({error}); export them as GeoJSON"
+            f"{path}: does not hold areas that can be read ({what}); export them as GeoJSON"
         ) from error
     except OSError as error:
         if isinstance(error, ReadError):

@@ -217,16 +217,15 @@ class Growth:
         if self._checked is None:
             bodies, n = self.material.bodies, len(self.material)
             links = self.links()
+            checked = check_loops(links, n, bodies)
             doubtful = [
                 link
                 for link in self.links(("review", "rejected"))
                 if link.ambiguity_ratio >= MIN_DOUBTFUL_RATIO
             ]
-            checked = check_loops(links, n, bodies)
-            # Who overrules a wrong link at its one end may leave it to hang alone at the other one.
-            while confirming := confirming_links(links, checked, doubtful, n, bodies):
+            confirming = confirming_links(links, checked, doubtful, n, bodies)
+            if confirming:
                 links = [*links, *confirming]
-                doubtful = [link for link in doubtful if link not in confirming]
                 checked = check_loops(links, n, bodies)
             self._checked = links, checked
         return self._checked

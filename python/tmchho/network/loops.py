@@ -200,17 +200,16 @@ def confirming_links(
     -------
     list of Link
         As `agreeing_links` finds them between groups that nothing ties together yet, and between the two
-        groups that hang together by one link alone: they close loops with it, or tell that it is wrong. There
-        they may also agree with a link that was left out because of it.
+        groups that hang together by one link alone: they close loops with it, or tell that it is wrong.
     """
     kept = [links[number] for number in checked.kept]
     found = agreeing_links(kept, doubtful, n_stations, bodies)
-    witnesses = [*doubtful, *(links[number] for number in checked.left_out)]
     for number in checked.kept:
         if not checked.n_loops[number]:
             rest = [link for link in kept if link is not links[number]]
-            agreeing = agreeing_links(rest, witnesses, n_stations, bodies)
-            found += [link for link in agreeing if link in doubtful and link not in found]
+            found += [
+                link for link in agreeing_links(rest, doubtful, n_stations, bodies) if link not in found
+            ]
     return found
 
 

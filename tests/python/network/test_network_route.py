@@ -22,7 +22,7 @@ from tmchho.simulate import SimulatedNetwork, make_network, make_site, random_po
 Array = np.ndarray
 
 
-PLACES = ((-9.0, -7.0), (8.0, -8.0), (9.0, 9.0), (-6.0, 10.0), (0.0, 1.0))
+PLACES = ((-9.0, -7.0), (8.0, -8.0), (9.0, 9.0), (-6.0, 10.0), (0.0, -14.0))
 
 
 @cache
