@@ -226,7 +226,7 @@ def test_a_shapefile_is_read_through_pyogrio(tmp_path: Path) -> None:
         ("a.geojson", '{"type": "FeatureCollection", "features": [{"geometry": null}]}', "no geometry"),
         ("a.geojson", '{"type": "Polygon", "coordinates": [[[0, 0], [1, 1]]]}', "does not hold"),
         ("a.wkt", "x;y\nPOLYGON ((0 0, 1 1", "does not hold"),
-        ("a.wkt", "x;LINESTRING (0 0)\n", "does not hold .*; export"),
+        ("a.wkt", "POLYGON ((0 0))\n", "does not hold .*; export"),
         ("a.wkt", "POLYGON ((0 0, 1 0, 1 1, 0 0))\nwhat\n", "line 2"),
         ("a.gpkg", "nothing", "cannot be read"),
     ],
