@@ -12,6 +12,7 @@ pub mod progress;
 pub mod random;
 pub mod rigid;
 pub mod similarity;
+pub(crate) mod vectorize;
 
 // Floor 1: tools.
 pub mod descriptors;

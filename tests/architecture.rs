@@ -212,6 +212,7 @@ fn the_optimisers_have_never_heard_of_a_cloud() {
 fn each_foreign_library_has_its_one_room() {
     for (library, room) in [
         ("rayon", "parallel.rs"),
+        ("fearless_simd", "vectorize.rs"),
         ("kiddo", "neighbors/general.rs"),
         ("rand_pcg", "random.rs"),
         ("pyo3", "python/"),

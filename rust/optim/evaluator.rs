@@ -283,7 +283,6 @@ mod tests {
                 let serially = options.minimize(&problem, &problem.bounds().unwrap(), 4);
                 assert_eq!(found, serially.unwrap());
                 let gain = found.n_evaluations as f64 / n_rounds as f64;
-
                 assert!(gain > 1.8, "{method:?} {name}: {gain}");
             }
         }

@@ -5,6 +5,8 @@
 //! Deviates: nowhere. Many programs multiply by 0.01; the authors' published one does not, and
 //! neither do the defaults here.
 
+use crate::vectorize::widest;
+
 /// The exponent β.
 pub const BETA: f64 = 1.5;
 
@@ -31,12 +33,18 @@ pub fn step(u: f64, v: f64, factor: f64) -> f64 {
 pub fn flight(normals: &[[f64; 2]], factor: f64) -> Vec<f64> {
     // First the guesses, then the rest, because only the rest is turned into vector instructions.
     let mut flight: Vec<f64> = normals.iter().map(|[_, v]| guess(v * v)).collect();
-    for (step, [u, v]) in flight.iter_mut().zip(normals) {
-        *step = step_by_guess(*u, *v, factor, *step);
-    }
+    widest(
+        #[inline(always)]
+        || {
+            for (step, [u, v]) in flight.iter_mut().zip(normals) {
+                *step = step_by_guess(*u, *v, factor, *step);
+            }
+        },
+    );
     flight
 }
 
+#[inline(always)]
 fn step_by_guess(u: f64, v: f64, factor: f64, guess: f64) -> f64 {
     // Eq. (5): LF = c u σ / |v|^(1/β), and 1/β = 2/3.
     factor * u * SIGMA * inverse_cube_root(v * v, guess)
@@ -51,6 +59,7 @@ fn guess(x: f64) -> f64 {
 
 /// x^(−1/3) to the last digits, by multiplications alone: in a search by hawks the roots of the
 /// standard library took a quarter of the time. Large but finite for 0.
+#[inline(always)]
 fn inverse_cube_root(x: f64, guess: f64) -> f64 {
     let mut y = guess;
     // Newton's iteration squares the relative error each time, and doubles it.

@@ -8,6 +8,8 @@
 //! Deviates: the numbers e, E, J and o are scalars, S and LF have one entry per coordinate ("two
 //! dimensional" in the paper is a slip); the shares k use absolute values of the fitness.
 
+use crate::vectorize::widest;
+
 /// E, which fades from ±2 to 0 and decides what a hawk does.
 ///
 /// `e0` is drawn from U(−1, 1) for each hawk and iteration; `iteration` counts from 0.
@@ -121,12 +123,17 @@ pub fn mean(hawks: &[Vec<f64>]) -> Vec<f64> {
     let mut mean = vec![0.0; hawks[0].len()];
     // Five at a time, so that a sum is fetched and put back once for five hawks.
     let (fives, rest) = hawks.as_chunks::<5>();
-    for [a, b, c, d, e] in fives {
-        let others = a.iter().zip(b).zip(c).zip(d).zip(e);
-        for (sum, ((((a, b), c), d), e)) in mean.iter_mut().zip(others) {
-            *sum = *sum + a + b + c + d + e;
-        }
-    }
+    widest(
+        #[inline(always)]
+        || {
+            for [a, b, c, d, e] in fives {
+                let others = a.iter().zip(b).zip(c).zip(d).zip(e);
+                for (sum, ((((a, b), c), d), e)) in mean.iter_mut().zip(others) {
+                    *sum = *sum + a + b + c + d + e;
+                }
+            }
+        },
+    );
     for hawk in rest {
         mean.iter_mut().zip(hawk).for_each(|(sum, o)| *sum += o);
     }

@@ -8,6 +8,7 @@
 use std::f64::consts::{E, TAU};
 
 use crate::error::{Error, Result};
+use crate::vectorize::widest;
 
 use super::Bounds;
 
@@ -134,9 +135,14 @@ fn fold_terms(
 ) -> f64 {
     let mut terms = [0.0; 32];
     for (first, block) in (1..).step_by(terms.len()).zip(x.chunks(terms.len())) {
-        for (i, (value, x)) in (first..).zip(terms.iter_mut().zip(block)) {
-            *value = term(i, *x);
-        }
+        widest(
+            #[inline(always)]
+            || {
+                for (i, (value, x)) in (first..).zip(terms.iter_mut().zip(block)) {
+                    *value = term(i, *x);
+                }
+            },
+        );
         for value in &terms[..block.len()] {
             joined = join(joined, *value);
         }
@@ -150,6 +156,7 @@ fn fold_terms(
 /// that several are computed at once, and multiplies by 2π only after half turns are gone.
 /// Source: 1 + t q(t) with t the square of what is left, at most a quarter turn; q is the polynomial
 /// of degree 7 that interpolates (cos(2π √t) − 1) / t at Chebyshev's nodes. It is off by 2e-17 at most.
+#[inline(always)]
 fn cos_of_turns(x: f64) -> f64 {
     const SERIES: [f64; 8] = [
         0.273_049_155_189_273_3,
