@@ -7,17 +7,20 @@
 //! region is unknown before registration; the symmetric share is ours.
 //! Absent on purpose: any search.
 
+mod witnesses;
+
 use crate::cloud::{Point, distance_sq};
 use crate::error::Result;
 use crate::near_field::NearField;
 use crate::neighbors::{Neighbor, NeighborIndex};
-use crate::normals::{self, Surface};
 use crate::parallel;
 use crate::point_to_plane::PlaneSums;
 use crate::progress::Progress;
 use crate::rigid::Rigid;
 use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
+
+pub use witnesses::Witnesses;
 
 /// The RMS of Eq. (1): root mean squared distance from the moved source points to their nearest
 /// target points. NaN for an empty source, infinite for an empty target.
@@ -54,75 +57,6 @@ pub fn rms_below(
         }
     }
     ((sum / n).sqrt(), source.len())
-}
-
-/// The points of a cloud that testify to a pose: its first ones, each with a weight.
-///
-/// Planes agree anywhere along themselves, so a point weighs by the curvature of the surface round
-/// it, looked at from far enough that noise does not count as shape.
-#[derive(Debug)]
-pub struct Witnesses {
-    /// The cloud.
-    pub cloud: SurfaceCloud,
-    /// One weight for each of its first points.
-    pub weights: Vec<f64>,
-}
-
-impl Witnesses {
-    /// Witnesses of two clouds at one density: about `n` of the cloud with fewer points, and the
-    /// same share of the other's. `radius_m` is how far a surface is looked at, `spacing_m` the
-    /// distance of the clouds' points.
-    ///
-    /// # Errors
-    /// [`crate::Error::Cancelled`].
-    pub fn of_both(
-        clouds: [SurfaceCloud; 2],
-        n: usize,
-        radius_m: f64,
-        spacing_m: f64,
-        progress: &Progress<'_>,
-    ) -> Result<[Self; 2]> {
-        let n_smaller = clouds[0].len().min(clouds[1].len()).max(1);
-        let share = (n as f64 / n_smaller as f64).min(1.0);
-        let of = |cloud: SurfaceCloud| -> Result<Self> {
-            let n = (cloud.len() as f64 * share).ceil() as usize;
-            let weights = curvature_weights(&cloud, n, radius_m, spacing_m, progress)?;
-            Ok(Self { cloud, weights })
-        };
-        let [first, second] = clouds;
-        let (first, second) = parallel::both(|| of(first), || of(second));
-        Ok([first?, second?])
-    }
-
-    /// Number of witnesses.
-    pub fn len(&self) -> usize {
-        self.weights.len()
-    }
-
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.weights.is_empty()
-    }
-}
-
-/// Planes weigh little, but not nothing: a scene of planes alone can still be scored.
-fn curvature_weights(
-    cloud: &SurfaceCloud,
-    n: usize,
-    radius_m: f64,
-    spacing_m: f64,
-    progress: &Progress<'_>,
-) -> Result<Vec<f64>> {
-    const FULL_WEIGHT_CURVATURE: f64 = 0.04;
-    const LEAST_WEIGHT: f64 = 0.03;
-    /// So many neighbours tell a curvature; more would only cost.
-    const N_NEIGHBORS: f64 = 60.0;
-    let n_within = std::f64::consts::PI * (radius_m / spacing_m).powi(2);
-    let thinned = cloud.sample((cloud.len() as f64 * (N_NEIGHBORS / n_within).min(1.0)) as usize);
-    let index = NeighborIndex::new(thinned);
-    let surfaces = normals::estimate_within(cloud.sample(n), &index, radius_m, 3, progress)?;
-    let weight = |s: &Surface| (s.curvature / FULL_WEIGHT_CURVATURE).min(1.0) + LEAST_WEIGHT;
-    Ok(surfaces.iter().map(weight).collect())
 }
 
 /// How far two clouds agree at a pose, counted in both directions.

@@ -20,7 +20,7 @@ use crate::progress::Progress;
 use crate::random::Stream;
 use crate::rigid::Rigid;
 
-/// Witnesses of the cloud with fewer points, and how far, as a share of the unit, each looks round.
+/// Witnesses of the smaller cloud, and how far, as a share of the unit, each looks round.
 pub(crate) const N_WITNESSES: usize = 3000;
 pub(crate) const WITNESS_RADIUS: f64 = 0.035;
 
@@ -123,7 +123,7 @@ pub fn search_robust(
 ) -> Result<CoarseResult> {
     options.check()?;
     let unit_m = require_positive("unit_m", problem.unit_m)?;
-    let source_moves = problem.source.cloud.len() <= problem.target.cloud.len();
+    let source_moves = problem.source.size <= problem.target.size;
     let (moving, fixed) = if source_moves {
         (problem.source, problem.target)
     } else {

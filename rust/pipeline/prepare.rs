@@ -81,7 +81,7 @@ impl Prepared {
         const LEAST_SHARE: f64 = 0.05;
         let cleaned = |cloud: &Cloud| -> Result<Cloud> {
             let voxels = downsample(cloud, self.voxel_size_m, progress)?;
-            Ok(without_strays(&voxels, self.voxel_size_m))
+            without_strays(&voxels, self.voxel_size_m, progress)
         };
         let (of_source, of_target) = parallel::both(|| cleaned(source), || cleaned(target));
         let voxels = [of_source?, of_target?];

@@ -1,0 +1,159 @@
+//! Points that testify to a pose: which of them, and what each weighs.
+//!
+//! Source: ours; measured in docs/robust_search.md.
+
+use crate::error::Result;
+use crate::neighbors::NeighborIndex;
+use crate::normals::{self, Surface};
+use crate::parallel;
+use crate::progress::Progress;
+use crate::spacing::median_spacing_m;
+use crate::surface_cloud::SurfaceCloud;
+
+/// The points of a cloud that testify to a pose: its first ones, each with a weight.
+///
+/// Planes agree anywhere along themselves, so a point weighs by the curvature of the surface round
+/// it, looked at from far enough that noise does not count as shape.
+#[derive(Debug)]
+pub struct Witnesses {
+    /// The cloud.
+    pub cloud: SurfaceCloud,
+    /// One weight for each of its first points.
+    pub weights: Vec<f64>,
+    /// How much surface the cloud covers, in a unit that it shares with the other one: points where both
+    /// are as dense as their voxels, else cells that the sparser one fills.
+    pub size: usize,
+}
+
+impl Witnesses {
+    /// Witnesses of two clouds, as many of either on the same area: about `n` of the smaller cloud, or as
+    /// many as the sparser one has. `radius_m` is how far a surface is looked at, `voxel_size_m`
+    /// the edge of the voxels to which both were thinned.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub fn of_both(
+        clouds: [SurfaceCloud; 2],
+        n: usize,
+        radius_m: f64,
+        voxel_size_m: f64,
+        progress: &Progress<'_>,
+    ) -> Result<[Self; 2]> {
+        let (spacings_m, sizes) = measured(&clouds, voxel_size_m);
+        let n_smaller = sizes[0].min(sizes[1]).max(1);
+        let wanted = n as f64 / n_smaller as f64;
+        let [most_of_first, most_of_second] =
+            [0, 1].map(|i| clouds[i].len() as f64 / sizes[i].max(1) as f64);
+        let density = wanted.min(most_of_first).min(most_of_second);
+        let of = |cloud: SurfaceCloud, size: usize, spacing_m: f64| -> Result<Self> {
+            let n = (size as f64 * density).ceil() as usize;
+            let weights = curvature_weights(&cloud, n, radius_m, spacing_m, progress)?;
+            Ok(Self {
+                cloud,
+                weights,
+                size,
+            })
+        };
+        let [first, second] = clouds;
+        let (first, second) = parallel::both(
+            || of(first, sizes[0], spacings_m[0]),
+            || of(second, sizes[1], spacings_m[1]),
+        );
+        Ok([first?, second?])
+    }
+
+    /// Number of witnesses.
+    pub fn len(&self) -> usize {
+        self.weights.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.weights.is_empty()
+    }
+}
+
+/// How far the points of each cloud lie apart, at least the edge of its voxels, and how large each is.
+fn measured(clouds: &[SurfaceCloud; 2], voxel_size_m: f64) -> ([f64; 2], [usize; 2]) {
+    /// A cloud whose median spacing is more than this many voxels is sparser than its voxels.
+    const SPARSE: f64 = 1.3;
+    /// A cell of so many median spacings that the surface crosses holds a point nine times in ten.
+    const FILLED: f64 = 5.0;
+    let spacings_m = clouds.each_ref().map(|cloud| {
+        let median_m = median_spacing_m(&cloud.index);
+        if median_m > SPARSE * voxel_size_m {
+            median_m
+        } else {
+            voxel_size_m
+        }
+    });
+    let sparser_m = spacings_m[0].max(spacings_m[1]);
+    let sizes = clouds.each_ref().map(|cloud| {
+        if sparser_m > voxel_size_m {
+            cloud.one_for_each_cell(FILLED * sparser_m).len()
+        } else {
+            cloud.len()
+        }
+    });
+    (spacings_m, sizes)
+}
+
+/// Planes weigh little, but not nothing: a scene of planes alone can still be scored.
+fn curvature_weights(
+    cloud: &SurfaceCloud,
+    n: usize,
+    radius_m: f64,
+    spacing_m: f64,
+    progress: &Progress<'_>,
+) -> Result<Vec<f64>> {
+    const FULL_WEIGHT_CURVATURE: f64 = 0.04;
+    const LEAST_WEIGHT: f64 = 0.03;
+    /// So many neighbours tell a curvature; more would only cost.
+    const N_NEIGHBORS: f64 = 60.0;
+    let n_within = std::f64::consts::PI * (radius_m / spacing_m).powi(2);
+    let thinned = cloud.sample((cloud.len() as f64 * (N_NEIGHBORS / n_within).min(1.0)) as usize);
+    let index = NeighborIndex::new(thinned);
+    let surfaces = normals::estimate_within(cloud.sample(n), &index, radius_m, 3, progress)?;
+    let weight = |s: &Surface| (s.curvature / FULL_WEIGHT_CURVATURE).min(1.0) + LEAST_WEIGHT;
+    Ok(surfaces.iter().map(weight).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloud::{Cloud, Point};
+    use crate::random::Stream;
+    use crate::voxel::downsample;
+
+    const VOXEL: f64 = 0.01;
+
+    /// `n` points, thinned, of waves over a strip of that length, 1 wide.
+    fn strip(length: f64, n: usize, seed: u64) -> SurfaceCloud {
+        let mut stream = Stream::new(seed, "strip", 0);
+        let points: Vec<Point> = (0..n)
+            .map(|_| [length * stream.uniform(), stream.uniform()])
+            .map(|[x, y]| [x, y, 0.1 * (9.0 * x).sin() * (7.0 * y).cos()])
+            .collect();
+        let silent = Progress::silent();
+        let voxels = downsample(&Cloud::new(&points).unwrap(), VOXEL, &silent).unwrap();
+        SurfaceCloud::new(&voxels.cloud, 0, &silent).unwrap()
+    }
+
+    fn of_both(a: SurfaceCloud, b: SurfaceCloud) -> [Witnesses; 2] {
+        Witnesses::of_both([a, b], 1000, 0.1, VOXEL, &Progress::silent()).unwrap()
+    }
+
+    #[test]
+    fn as_many_points_on_the_same_area_testify_of_a_dense_cloud_and_of_a_sparse_one() {
+        let ratio = |a: usize, b: usize| a as f64 / b as f64;
+        // Four times the area: of thinned clouds four times the points, and the smaller gives what it should.
+        let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 240_000, 2));
+        assert_eq!((small.len(), small.size), (1000, small.cloud.len()));
+        assert!((ratio(large.len(), small.len()) / 4.0 - 1.0).abs() < 0.05);
+        // A tenth of the points that the other has there.
+        let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 4000, 2));
+        assert!(large.cloud.len() < small.cloud.len());
+        assert!((ratio(large.size, small.size) / 4.0 - 1.0).abs() < 0.2);
+        assert!((ratio(large.len(), small.len()) / 4.0 - 1.0).abs() < 0.2);
+    }
+}
