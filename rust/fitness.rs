@@ -62,8 +62,8 @@ pub fn rms_below(
 /// How far two clouds agree at a pose, counted in both directions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Agreement {
-    /// Witnesses of both clouds with a partner within the distance and with an agreeing normal, by
-    /// twice the number of witnesses of the cloud with fewer; 0 to about 1.
+    /// What the witnesses of both clouds with a partner within the distance and with an agreeing normal
+    /// stand for, by twice the smaller cloud; 0 to about 1.
     pub inlier_share: f64,
     /// The same by weight.
     pub weighted_share: f64,
@@ -155,16 +155,23 @@ pub fn agreement<P: FindsPartner + Sync>(
         },
     );
     let (moving, fixed) = (moving.0, fixed.0);
-    let smaller = if moving.len() <= fixed.len() {
+    let smaller = if moving.size <= fixed.size {
         moving
     } else {
         fixed
     };
-    let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
-    let weight = forth.inlier_weight + back.inlier_weight;
+    let by_size = |of_moving: f64, of_fixed: f64, of_smaller: f64| {
+        let part = of_moving * moving.size_of_each() + of_fixed * fixed.size_of_each();
+        let whole = 2.0 * of_smaller * smaller.size_of_each();
+        if whole > 0.0 { part / whole } else { 0.0 }
+    };
     Agreement {
-        inlier_share: share(forth.n_inliers + back.n_inliers, 2.0 * smaller.len() as f64),
-        weighted_share: share(weight, 2.0 * smaller.weights.iter().sum::<f64>()),
+        inlier_share: by_size(forth.n_inliers, back.n_inliers, smaller.len() as f64),
+        weighted_share: by_size(
+            forth.inlier_weight,
+            back.inlier_weight,
+            smaller.weights.iter().sum(),
+        ),
         misfit,
     }
 }

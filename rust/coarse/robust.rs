@@ -123,7 +123,7 @@ pub fn search_robust(
 ) -> Result<CoarseResult> {
     options.check()?;
     let unit_m = require_positive("unit_m", problem.unit_m)?;
-    let source_moves = problem.source.size <= problem.target.size;
+    let source_moves = problem.source.cloud.len() <= problem.target.cloud.len();
     let (moving, fixed) = if source_moves {
         (problem.source, problem.target)
     } else {

@@ -26,8 +26,8 @@ pub struct Witnesses {
 }
 
 impl Witnesses {
-    /// Witnesses of two clouds, as many of either on the same area: about `n` of the smaller cloud, or as
-    /// many as the sparser one has. `radius_m` is how far a surface is looked at, `voxel_size_m`
+    /// Witnesses of two clouds, as many of either on the same area: about `n` of the smaller cloud; of a
+    /// cloud that has fewer points there, all. `radius_m` is how far a surface is looked at, `voxel_size_m`
     /// the edge of the voxels to which both were thinned.
     ///
     /// # Errors
@@ -40,13 +40,10 @@ impl Witnesses {
         progress: &Progress<'_>,
     ) -> Result<[Self; 2]> {
         let (spacings_m, sizes) = measured(&clouds, voxel_size_m);
-        let n_smaller = sizes[0].min(sizes[1]).max(1);
-        let wanted = n as f64 / n_smaller as f64;
-        let [most_of_first, most_of_second] =
-            [0, 1].map(|i| clouds[i].len() as f64 / sizes[i].max(1) as f64);
-        let density = wanted.min(most_of_first).min(most_of_second);
+        let smaller = sizes[0].min(sizes[1]).max(1);
+        let density = n as f64 / smaller as f64;
         let of = |cloud: SurfaceCloud, size: usize, spacing_m: f64| -> Result<Self> {
-            let n = (size as f64 * density).ceil() as usize;
+            let n = cloud.len().min((size as f64 * density).ceil() as usize);
             let weights = curvature_weights(&cloud, n, radius_m, spacing_m, progress)?;
             Ok(Self {
                 cloud,
@@ -70,6 +67,11 @@ impl Witnesses {
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.weights.is_empty()
+    }
+
+    /// How much of the cloud's size one witness stands for; 0 where there are none.
+    pub fn size_of_each(&self) -> f64 {
+        self.size as f64 / self.len().max(1) as f64
     }
 }
 
@@ -150,10 +152,12 @@ mod tests {
         let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 240_000, 2));
         assert_eq!((small.len(), small.size), (1000, small.cloud.len()));
         assert!((ratio(large.len(), small.len()) / 4.0 - 1.0).abs() < 0.05);
-        // A tenth of the points that the other has there.
-        let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 4000, 2));
+        // A fifteenth of the points that the other has there.
+        let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 3000, 2));
         assert!(large.cloud.len() < small.cloud.len());
         assert!((ratio(large.size, small.size) / 4.0 - 1.0).abs() < 0.2);
-        assert!((ratio(large.len(), small.len()) / 4.0 - 1.0).abs() < 0.2);
+        // It gives all it has, fewer than the area asks for, and each stands for more.
+        assert_eq!((small.len(), large.len()), (1000, large.cloud.len()));
+        assert!(large.size_of_each() > small.size_of_each());
     }
 }
