@@ -141,23 +141,23 @@ mod tests {
         SurfaceCloud::new(&voxels.cloud, 0, &silent).unwrap()
     }
 
-    fn of_both(a: SurfaceCloud, b: SurfaceCloud) -> [Witnesses; 2] {
-        Witnesses::of_both([a, b], 1000, 0.1, VOXEL, &Progress::silent()).unwrap()
+    fn of_both(a: SurfaceCloud, b: SurfaceCloud, n: usize) -> [Witnesses; 2] {
+        Witnesses::of_both([a, b], n, 0.1, VOXEL, &Progress::silent()).unwrap()
     }
 
     #[test]
     fn as_many_points_on_the_same_area_testify_of_a_dense_cloud_and_of_a_sparse_one() {
         let ratio = |a: usize, b: usize| a as f64 / b as f64;
         // Four times the area: of thinned clouds four times the points, and the smaller gives what it should.
-        let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 240_000, 2));
+        let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 240_000, 2), 1000);
         assert_eq!((small.len(), small.size), (1000, small.cloud.len()));
         assert!((ratio(large.len(), small.len()) / 4.0 - 1.0).abs() < 0.05);
-        // A fifteenth of the points that the other has there.
-        let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 3000, 2));
+        // A tenth of the points that the other has there.
+        let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 4000, 2), 2000);
         assert!(large.cloud.len() < small.cloud.len());
         assert!((ratio(large.size, small.size) / 4.0 - 1.0).abs() < 0.2);
         // It gives all it has, fewer than the area asks for, and each stands for more.
-        assert_eq!((small.len(), large.len()), (1000, large.cloud.len()));
+        assert_eq!((small.len(), large.len()), (2000, large.cloud.len()));
         assert!(large.size_of_each() > small.size_of_each());
     }
 }
