@@ -5,8 +5,9 @@
 
 f1 and f5 with 50 coordinates, 30 hawks, 500 iterations; each library in its own words, on the same numpy
 function, which takes one point or many, and ours on its built-in one as well. The libraries call the function
-a different number of times in as many iterations, so time is given per run and per call. Runs alternate. What
-counts is processor time, and the least of all runs, because other programs on the machine can only add to it.
+a different number of times in as many iterations, so time is given per run and per call. Libraries take turns
+of half a second. What counts is processor time, and the least of all runs, because other programs on the
+machine can only add to it.
 
 Then the gain from a second thread where a call is dear: a turned f5 of many coordinates, and Eq. (1) between
 the keypoints of two clouds. Measured gains are those of the fastest runs, and only a machine with two free
@@ -52,6 +53,9 @@ FUNCTIONS: dict[str, Callable[[Any], Any]] = {
 # So many coordinates that a call takes a millisecond, and so many iterations that the first few count little:
 # the threads have not learned yet which way the search tends to go.
 DEAR_DIMENSION, DEAR_ITERATIONS = 1600, 50
+# A turn lasts at least so long: what takes milliseconds would else be at the mercy of what the machine did
+# in them.
+TURN_S = 0.5
 
 Run = Callable[[int], int]
 """Takes a seed, searches, and returns how often the function was called."""
@@ -133,14 +137,16 @@ def timed(run: Run, seed: int) -> Spent:
 def measured(runs: dict[str, Run], repeats: int) -> dict[str, dict[str, float]]:
     """Return the least time of a run in milliseconds, that of a call in microseconds, and the calls."""
     spent: dict[str, list[Spent]] = {name: [] for name in runs}
-    for seed in range(repeats):
+    for _ in range(repeats):
         for name, run in runs.items():
-            spent[name].append(timed(run, seed))
+            begun = time.perf_counter()
+            while time.perf_counter() - begun < TURN_S:
+                spent[name].append(timed(run, seed=len(spent[name])))
     return {
         name: {
             "elapsed_ms": 1e3 * min(it.elapsed_s for it in of_runs),
             "run_ms": 1e3 * min(it.processor_s for it in of_runs),
-            "calls": sum(it.calls for it in of_runs) / repeats,
+            "calls": sum(it.calls for it in of_runs) / len(of_runs),
             "call_us": 1e6 * min(it.processor_s / it.calls for it in of_runs),
         }
         for name, of_runs in spent.items()
@@ -203,7 +209,7 @@ def two_threads(repeats: int) -> dict[str, dict[str, dict[str, float]]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Harris hawks of three libraries, in one run.")
-    parser.add_argument("--repeats", type=int, default=5, help="runs of each; the least counts")
+    parser.add_argument("--repeats", type=int, default=5, help="turns of each; the least run counts")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     arguments = parser.parse_args()
     searches = {}
