@@ -54,8 +54,8 @@ pub struct Registration {
     pub overlap_of_source: f64,
     /// Share of the target points, at full density, within `max_distance_m` of a source point.
     pub overlap_of_target: f64,
-    /// Points of both clouds with a partner and an agreeing normal, by twice the points of the
-    /// smaller cloud.
+    /// Surface of both clouds with a partner and an agreeing normal, by twice that of the smaller
+    /// cloud.
     pub inlier_share: f64,
     /// Score of the best pose by the score of its best rival; NaN in paper mode.
     pub ambiguity_ratio: f64,

@@ -33,8 +33,8 @@ pub struct Candidate {
     /// What candidates are ranked by, higher is better: in robust mode the curvature-weighted
     /// symmetric share of inliers, 0 to about 1, divided by the misfit where that is above 1; in paper mode minus the RMS of Eq. (1).
     pub score: f64,
-    /// Points of both clouds with a partner and an agreeing normal, by twice the points of the
-    /// smaller cloud; NaN in paper mode.
+    /// Surface of both clouds with a partner and an agreeing normal, by twice that of the smaller
+    /// cloud; NaN in paper mode.
     pub inlier_share: f64,
 }
 

@@ -9,7 +9,7 @@ use crate::error::{Result, require_count, require_positive};
 #[serde(deny_unknown_fields, default)]
 pub struct RobustSearchOptions {
     /// Rotations of each round; the next round is only begun while the best pose does not stand
-    /// out. At least one round of at least one rotation.
+    /// out. At least one round of at least one rotation; places lie closer together from the third on.
     pub rotations_per_round: Vec<usize>,
     /// Poses of each round that are refined and verified; at least 1.
     pub n_verified: usize,
@@ -24,7 +24,7 @@ pub struct RobustSearchOptions {
 impl Default for RobustSearchOptions {
     fn default() -> Self {
         Self {
-            rotations_per_round: vec![60, 240, 960],
+            rotations_per_round: vec![60, 240],
             n_verified: 32,
             descriptors: true,
             max_seconds: None,

@@ -133,8 +133,8 @@ impl VerdictOptions {
 /// What the verdict rests on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence {
-    /// Points of both clouds with a partner and an agreeing normal, by twice the points of the
-    /// smaller cloud.
+    /// Surface of both clouds with a partner and an agreeing normal, by twice that of the smaller
+    /// cloud.
     pub inlier_share: f64,
     /// Score of the pose by the score of its best rival; NaN where no rival was looked for.
     pub ambiguity_ratio: f64,
