@@ -125,20 +125,22 @@ mod tests {
     use super::*;
     use crate::cloud::{Cloud, Point};
     use crate::random::Stream;
-    use crate::voxel::downsample;
 
     const VOXEL: f64 = 0.01;
 
-    /// `n` points, thinned, of waves over a strip of that length, 1 wide.
-    fn strip(length: f64, n: usize, seed: u64) -> SurfaceCloud {
+    /// A point anywhere in each square of that edge, of waves over a strip of that length, 1 wide.
+    fn strip(length: f64, edge: f64, seed: u64) -> SurfaceCloud {
         let mut stream = Stream::new(seed, "strip", 0);
-        let points: Vec<Point> = (0..n)
-            .map(|_| [length * stream.uniform(), stream.uniform()])
-            .map(|[x, y]| [x, y, 0.1 * (9.0 * x).sin() * (7.0 * y).cos()])
+        let n_across = (1.0 / edge).round() as usize;
+        let n_along = (length / edge).round() as usize;
+        let points: Vec<Point> = (0..n_across * n_along)
+            .map(|i| {
+                let x = edge * ((i / n_across) as f64 + stream.uniform());
+                let y = edge * ((i % n_across) as f64 + stream.uniform());
+                [x, y, 0.1 * (9.0 * x).sin() * (7.0 * y).cos()]
+            })
             .collect();
-        let silent = Progress::silent();
-        let voxels = downsample(&Cloud::new(&points).unwrap(), VOXEL, &silent).unwrap();
-        SurfaceCloud::new(&voxels.cloud, 0, &silent).unwrap()
+        SurfaceCloud::new(&Cloud::new(&points).unwrap(), 0, &Progress::silent()).unwrap()
     }
 
     fn of_both(a: SurfaceCloud, b: SurfaceCloud, n: usize) -> [Witnesses; 2] {
@@ -148,14 +150,15 @@ mod tests {
     #[test]
     fn as_many_points_on_the_same_area_testify_of_a_dense_cloud_and_of_a_sparse_one() {
         let ratio = |a: usize, b: usize| a as f64 / b as f64;
-        // Four times the area: of thinned clouds four times the points, and the smaller gives what it should.
-        let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 240_000, 2), 1000);
+        // Four times the area: of clouds as dense as their voxels four times the points, and the smaller gives
+        // what it should.
+        let [small, large] = of_both(strip(1.0, VOXEL, 1), strip(4.0, VOXEL, 2), 1000);
         assert_eq!((small.len(), small.size), (1000, small.cloud.len()));
-        assert!((ratio(large.len(), small.len()) / 4.0 - 1.0).abs() < 0.05);
-        // A tenth of the points that the other has there.
-        let [small, large] = of_both(strip(1.0, 60_000, 1), strip(4.0, 4000, 2), 2000);
+        assert_eq!((large.len(), large.size), (4000, large.cloud.len()));
+        // A ninth of the points that the other has there.
+        let [small, large] = of_both(strip(1.0, VOXEL, 1), strip(4.0, 3.0 * VOXEL, 2), 2000);
         assert!(large.cloud.len() < small.cloud.len());
-        assert!((ratio(large.size, small.size) / 4.0 - 1.0).abs() < 0.2);
+        assert!((ratio(large.size, small.size) / 4.0 - 1.0).abs() < 0.1);
         // It gives all it has, fewer than the area asks for, and each stands for more.
         assert_eq!((small.len(), large.len()), (2000, large.cloud.len()));
         assert!(large.size_of_each() > small.size_of_each());
