@@ -186,6 +186,7 @@ mod tests {
             (points.iter().filter(|p| (low..high).contains(&off(p)))).count() as f64
         };
         let (before, after) = (&voxels.cloud, &cleaned);
+        assert!(count(after, 0.0, 0.1) > 0.95 * count(before, 0.0, 0.1));
         assert!(count(before, 1.0, 3.0) > 1000.0);
         assert!(count(after, 1.0, 3.0) < 0.15 * count(before, 1.0, 3.0));
     }
