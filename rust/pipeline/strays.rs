@@ -78,8 +78,7 @@ fn where_many_stand(voxels: &VoxelResult, voxel_size_m: f64) -> Vec<Point> {
 fn is_on_surface(near: &[Point]) -> bool {
     let [own, .., last] = near else { return true };
     let reach_m = distance_sq(own, last).sqrt();
-    let mut weights = [1.0; N_NEAR];
-    let mut is_on = true;
+    let (mut weights, mut off) = ([1.0; N_NEAR], [0.0; N_NEAR]);
     for pull in PULLS {
         let total: f64 = weights[..near.len()].iter().sum();
         let mut middle = [0.0; 3];
@@ -96,14 +95,14 @@ fn is_on_surface(near: &[Point]) -> bool {
         let Some((normal, _)) = scatter.least() else {
             return true;
         };
-        let off = |p: &Point| dot(&normal, &from_middle(p)).abs() / reach_m;
-        let n_in = near.iter().filter(|p| off(p) < IN_SURFACE).count();
-        is_on = off(own) < ON_SURFACE && n_in as f64 > LEAST_IN_SURFACE * near.len() as f64;
-        for (p, weight) in near.iter().zip(&mut weights) {
-            *weight = (-0.5 * (off(p) / pull).powi(2)).exp();
+        for (p, (weight, off)) in near.iter().zip(weights.iter_mut().zip(&mut off)) {
+            *off = dot(&normal, &from_middle(p)).abs() / reach_m;
+            *weight = (-0.5 * (*off / pull).powi(2)).exp();
         }
     }
-    is_on
+    let off = &off[..near.len()];
+    let n_in = off.iter().filter(|off| **off < IN_SURFACE).count();
+    off[0] < ON_SURFACE && n_in as f64 > LEAST_IN_SURFACE * near.len() as f64
 }
 
 /// The median over the points of the cloud of how many stand round about; 0 for no voxels.
