@@ -6,13 +6,14 @@
 //! The answer is the point nearest to the *centre of the cell* of the query: at most two half
 //! diagonals of a cell farther than the nearest one.
 //! Memory: 16 bytes for each block of 8×8×8 cells in the box, 2 KiB for each block that was asked
-//! about and lies near points; blocks are filled when first asked, whoever asks first alike.
+//! about and lies near points, 40 bytes a point; blocks are filled when first asked, whoever asks first alike.
 //! Source: ours. The counterpart for the whole box, coarse and without a limit of distance, is
 //! [`NearestGrid`](crate::distance_field::NearestGrid).
 
 use std::sync::OnceLock;
 
 use crate::cloud::{Point, bounds, distance_sq};
+use crate::vectorize::widest;
 
 const NOBODY: u32 = u32::MAX;
 /// Cells along the edge of a block.
@@ -42,7 +43,7 @@ pub struct NearField {
     blocks: Vec<OnceLock<Block>>,
     /// Points by block: those of block b are `members[starts[b]..starts[b + 1]]`.
     starts: Vec<u32>,
-    members: Vec<u32>,
+    members: Vec<Member>,
     points: Vec<Point>,
 }
 
@@ -119,59 +120,89 @@ impl NearField {
     }
 
     fn sort_into_blocks(&mut self, n_blocks: usize) {
-        let block_of = |p: &Point| {
-            let at = self.in_cells(p);
-            (0..3).rev().fold(0, |block, axis| {
-                let i = (at[axis] as usize / EDGE).min(self.n_blocks[axis] - 1);
-                block * self.n_blocks[axis] + i
+        let placed: Vec<(usize, [f32; 3])> = (self.points.iter())
+            .map(|p| {
+                let at = self.in_cells(p);
+                let block: [usize; 3] = std::array::from_fn(|axis| {
+                    (at[axis] as usize / EDGE).min(self.n_blocks[axis] - 1)
+                });
+                let [nx, ny, _] = self.n_blocks;
+                let within =
+                    std::array::from_fn(|axis| (at[axis] - (block[axis] * EDGE) as f64) as f32);
+                ((block[2] * ny + block[1]) * nx + block[0], within)
             })
-        };
-        let of_point: Vec<u32> = self.points.iter().map(|p| block_of(p) as u32).collect();
+            .collect();
         let mut starts = vec![0_u32; n_blocks + 1];
-        for block in &of_point {
-            starts[*block as usize + 1] += 1;
+        for (block, _) in &placed {
+            starts[block + 1] += 1;
         }
         for block in 0..n_blocks {
             starts[block + 1] += starts[block];
         }
         let mut next = starts.clone();
-        let mut members = vec![0_u32; self.points.len()];
-        for (i, block) in (0_u32..).zip(&of_point) {
-            members[next[*block as usize] as usize] = i;
-            next[*block as usize] += 1;
+        let mut members = vec![Member::default(); self.points.len()];
+        for (index, (block, within)) in (0_u32..).zip(placed) {
+            members[next[block] as usize] = Member { within, index };
+            next[block] += 1;
         }
         (self.starts, self.members) = (starts, members);
     }
 
     /// The nearest point to the centre of every cell of a block.
     fn fill(&self, block: usize) -> Block {
-        let [nx, ny, _] = self.n_blocks;
-        let at = [block % nx, block / nx % ny, block / nx / ny];
-        let range =
-            |axis: usize| at[axis].saturating_sub(1)..(at[axis] + 2).min(self.n_blocks[axis]);
-        let corner: Point = at.map(|i| (i * EDGE) as f64);
-        let mut best_sq = [(self.reach_cells * self.reach_cells) as f32; CELLS];
+        let reach = self.reach_cells as f32;
+        let mut best_sq = [reach * reach; CELLS];
         let mut nearest = [NOBODY; CELLS];
-        for (z, y) in range(2).flat_map(|z| range(1).map(move |y| (z, y))) {
-            let row = (z * ny + y) * nx;
-            let xs = range(0);
-            let (first, last) = (row + xs.start, row + xs.end);
-            for &i in &self.members[self.starts[first] as usize..self.starts[last] as usize] {
-                let p = self.in_cells(&self.points[i as usize]);
-                // Relative to the centre of the first cell of the block, where single precision
-                // resolves a ten-millionth of a cell.
-                let p = std::array::from_fn(|axis| (p[axis] - corner[axis] - 0.5) as f32);
-                stamp(p, i, self.reach_cells as f32, &mut best_sq, &mut nearest);
-            }
-        }
+        let round_about = self.round_about(block);
+        widest(
+            #[inline(always)]
+            || {
+                for (corner, members) in round_about {
+                    for member in members {
+                        // Relative to the centre of the first cell of the block to be filled.
+                        let p =
+                            std::array::from_fn(|axis| corner[axis] + member.within[axis] - 0.5);
+                        stamp(p, member.index, reach, &mut best_sq, &mut nearest);
+                    }
+                }
+            },
+        );
         nearest
             .iter()
             .any(|i| *i != NOBODY)
             .then(|| Box::new(nearest))
     }
+
+    /// A block and those that touch it: how many cells away each begins, and its points.
+    fn round_about(&self, block: usize) -> impl Iterator<Item = ([f32; 3], &[Member])> {
+        let [nx, ny, _] = self.n_blocks;
+        let at = [block % nx, block / nx % ny, block / nx / ny];
+        (0..27).filter_map(move |i| {
+            let step = [i % 3, i / 3 % 3, i / 9];
+            let mut other = [0; 3];
+            for axis in 0..3 {
+                other[axis] = (at[axis] + step[axis]).checked_sub(1)?;
+                if other[axis] >= self.n_blocks[axis] {
+                    return None;
+                }
+            }
+            let other = (other[2] * ny + other[1]) * nx + other[0];
+            let (first, end) = (self.starts[other], self.starts[other + 1]);
+            let corner = step.map(|step| (step as f32 - 1.0) * EDGE as f32);
+            Some((corner, &self.members[first as usize..end as usize]))
+        })
+    }
+}
+
+/// A point, and where it lies in its block, in cells.
+#[derive(Debug, Clone, Copy, Default)]
+struct Member {
+    within: [f32; 3],
+    index: u32,
 }
 
 /// Enters a point into every cell of a block that it is nearer to than those before it.
+#[inline(always)]
 fn stamp(p: [f32; 3], i: u32, reach: f32, best_sq: &mut [f32; CELLS], nearest: &mut [u32; CELLS]) {
     const LAST: f32 = EDGE as f32 - 1.0;
     if p.iter().any(|v| *v < -reach || *v > LAST + reach) {
