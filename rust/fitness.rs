@@ -65,7 +65,7 @@ pub struct Agreement {
     /// What the witnesses of both clouds with a partner within the distance and with an agreeing normal
     /// stand for, by twice the smaller cloud; 0 to about 1.
     pub inlier_share: f64,
-    /// The same by weight.
+    /// The same by weight: of each pair, the lesser one of its two.
     pub weighted_share: f64,
     /// How far the surfaces lie apart, by how rough they are themselves: the median distance of
     /// partners from each other's planes, by the median of what the roughness of both explains. About
@@ -135,11 +135,10 @@ pub fn agreement<P: FindsPartner + Sync>(
     let ((forth, misfit), back) = parallel::both(
         || {
             let (mut count, mut apart) = (Count::default(), Misfit::default());
-            let to = &fixed.0.cloud;
-            each_partner(moving.0, to, fixed.1, pose, tolerance, |pair| {
-                count.add(moving.0.weights[pair.from]);
+            each_partner(moving.0, fixed, pose, tolerance, |pair| {
+                count.add(pair.weight);
                 let own = pose.scale * moving.0.cloud.surfaces[pair.from].roughness_m;
-                let theirs = to.surfaces[pair.to].roughness_m;
+                let theirs = fixed.0.cloud.surfaces[pair.to].roughness_m;
                 apart.add(pair.off_plane, own.hypot(theirs));
             });
             let misfit = apart.ratio(LEAST_ROUGHNESS * tolerance.distance_m);
@@ -147,9 +146,8 @@ pub fn agreement<P: FindsPartner + Sync>(
         },
         || {
             let mut count = Count::default();
-            let to = &moving.0.cloud;
-            each_partner(fixed.0, to, moving.1, &inverse, tolerance, |pair| {
-                count.add(fixed.0.weights[pair.from]);
+            each_partner(fixed.0, moving, &inverse, tolerance, |pair| {
+                count.add(pair.weight);
             });
             count
         },
@@ -170,7 +168,7 @@ pub fn agreement<P: FindsPartner + Sync>(
         weighted_share: by_size(
             forth.inlier_weight,
             back.inlier_weight,
-            smaller.weights.iter().sum(),
+            smaller.total_weight(),
         ),
         misfit,
     }
@@ -220,7 +218,7 @@ pub fn off_plane_noise_m<P: FindsPartner>(
     const MEDIAN_TO_DEVIATION: f64 = 1.4826;
     let mut found = Vec::new();
     let tolerance = Tolerance::within(max_distance_m);
-    each_partner(moving, &fixed.0.cloud, fixed.1, pose, tolerance, |pair| {
+    each_partner(moving, fixed, pose, tolerance, |pair| {
         found.push(pair.off_plane)
     });
     if found.is_empty() {
@@ -242,18 +240,18 @@ impl Count {
     }
 }
 
-/// A witness and its partner, and how far it lies from the partner's plane.
+/// A witness and its partner, how far it lies from the partner's plane, and what both weigh together.
 struct Partners {
     from: usize,
     to: usize,
     off_plane: f64,
+    weight: f64,
 }
 
-/// Calls `visit` with every witness of `from` that has a partner with an agreeing normal in `to`.
+/// Calls `visit` with every witness of `from` that has a partner with an agreeing normal in the other cloud.
 fn each_partner<P: FindsPartner>(
     from: &Witnesses,
-    to: &SurfaceCloud,
-    finder: &P,
+    (witnesses, finder): (&Witnesses, &P),
     to_from: &Similarity,
     tolerance: Tolerance,
     mut visit: impl FnMut(Partners),
@@ -261,6 +259,7 @@ fn each_partner<P: FindsPartner>(
     /// Normals agree within 37°, whichever way they point.
     const MIN_COSINE: f64 = 0.8;
     let max_sq = tolerance.distance_m * tolerance.distance_m;
+    let to = &witnesses.cloud;
     for i in 0..from.len() {
         let moved = to_from.apply(&from.cloud.points()[i]);
         if !to.is_near_box(&moved, tolerance.distance_m) {
@@ -281,6 +280,7 @@ fn each_partner<P: FindsPartner>(
                 from: i,
                 to: partner,
                 off_plane: off_plane.abs(),
+                weight: from.weights[i].min(witnesses.weights[partner]),
             });
         }
     }
@@ -464,7 +464,7 @@ mod tests {
             let found = agree(&a, &b, &lifted, Tolerance::within(0.04));
             assert!(misfit.contains(&found.misfit), "{lift}: {found:?}");
             assert!(found.inlier_share > 0.9);
-            assert!((found.score() * found.misfit.max(1.0) - found.inlier_share).abs() < 0.1);
+            assert!(found.score() <= found.weighted_share / misfit.start.max(1.0));
         }
     }
 
@@ -485,23 +485,60 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_ridge_weighs_more_than_a_floor() {
-        let ridge: Vec<Point> = (0..2500)
-            .map(|i| [f64::from(i % 50) / 50.0, f64::from(i / 50) / 50.0])
-            .map(|[x, y]| [x, y, (0.2 - (x - 0.5).abs()).max(0.0)])
+    /// A floor, from `low` to `high` along x, with a ridge across it at 0.5.
+    fn ridge(low: f64, high: f64, noise: f64, seed: u64) -> SurfaceCloud {
+        let n_along = (50.0 * (high - low)).round() as usize;
+        let mut stream = Stream::new(seed, "ridge", 0);
+        let points: Vec<Point> = (0..50 * n_along)
+            .map(|i| {
+                [
+                    low + (i % n_along) as f64 / 50.0,
+                    (i / n_along) as f64 / 50.0,
+                ]
+            })
+            .map(|[x, y]| {
+                [
+                    x,
+                    y,
+                    (0.1 - (x - 0.5).abs()).max(0.0) + noise * stream.normal(),
+                ]
+            })
             .collect();
-        let clouds = [surfaces(&ridge), surfaces(&ridge)];
-        let [witnesses, _] = witnesses(clouds, 2500, 0.08, 0.02);
-        let cloud = &witnesses.cloud;
-        let x = |i: usize| cloud.points()[i][0] + cloud.origin[0];
-        let mean = |near: fn(f64) -> bool| {
-            let chosen: Vec<f64> = (0..2500)
-                .filter(|i| near(x(*i)))
-                .map(|i| witnesses.weights[i])
-                .collect();
-            chosen.iter().sum::<f64>() / chosen.len() as f64
-        };
-        assert!(mean(|x| (x - 0.5).abs() < 0.02) > 10.0 * mean(|x| x < 0.2));
+        surfaces(&points)
+    }
+
+    #[test]
+    fn a_ridge_weighs_more_than_a_floor_however_thick_with_noise() {
+        for noise in [0.0, 0.01] {
+            let clouds = [ridge(0.0, 1.0, noise, 1), ridge(0.0, 1.0, noise, 2)];
+            let [witnesses, _] = witnesses(clouds, 2500, 0.08, 0.02);
+            let cloud = &witnesses.cloud;
+            let x = |i: usize| cloud.points()[i][0] + cloud.origin[0];
+            let mean = |near: fn(f64) -> bool| {
+                let chosen: Vec<f64> = (0..2500)
+                    .filter(|i| near(x(*i)))
+                    .map(|i| witnesses.weights[i])
+                    .collect();
+                chosen.iter().sum::<f64>() / chosen.len() as f64
+            };
+            let (on_ridge, on_floor) = (mean(|x| (x - 0.5).abs() < 0.02), mean(|x| x < 0.3));
+            assert!(on_ridge > 8.0 * on_floor, "{noise}: {on_ridge} {on_floor}");
+        }
+    }
+
+    #[test]
+    fn a_ridge_on_its_like_is_worth_more_than_a_floor_on_any_noisy_floor() {
+        let (sharp, noisy) = (ridge(0.0, 1.0, 0.0, 1), ridge(0.4, 3.0, 0.02, 2));
+        let right = Rigid::identity().between_local_coordinates(sharp.origin, noisy.origin);
+        let [a, b] = witnesses([sharp, noisy], 2500, 0.08, 0.02);
+        let tolerance = Tolerance::within(0.05);
+        let here = agree(&a, &b, &right, tolerance);
+        let there = Rigid::from_euler([0.0; 3], [1.5, 0.0, 0.0]) * right;
+        let there = agree(&a, &b, &there, tolerance);
+        assert!(
+            here.inlier_share < 0.7 * there.inlier_share,
+            "{here:?} {there:?}"
+        );
+        assert!(here.score() > 1.2 * there.score(), "{here:?} {there:?}");
     }
 }

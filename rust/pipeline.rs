@@ -34,6 +34,8 @@ use crate::verdict::{Evidence, Rival, Strength, Verdict, judge};
 pub const VOXELS_PER_EXTENT: f64 = 250.0;
 /// The fine pose is kept unless the clouds agree by less than this share of what they did before.
 const LEAST_KEPT: f64 = 0.99;
+/// A pose that leads its rivals by more is not doubted: whether the source is mirrored is not tried.
+const CLEAR_AMBIGUITY_RATIO: f64 = 2.5;
 /// A partner within so many voxels supports the pose, where no distance is asked for.
 pub const SUPPORT_IN_VOXELS: f64 = 2.5;
 
@@ -124,6 +126,7 @@ fn route(
                 let doubts = doubts::doubts(
                     &source_cleaned,
                     &target_cleaned,
+                    0.0,
                     &config,
                     deadline,
                     progress,
@@ -273,14 +276,18 @@ fn route(
         },
         &config.verdict,
     );
-    if judgement.verdict != Verdict::Accepted && config.mode == Mode::Robust {
-        judgement.reasons.extend(doubts::doubts(
+    let is_clear =
+        judgement.verdict == Verdict::Accepted && found.ambiguity_ratio > CLEAR_AMBIGUITY_RATIO;
+    if !is_clear && config.mode == Mode::Robust {
+        let doubts = doubts::doubts(
             &source_cleaned,
             &target_cleaned,
+            search::merit(&found),
             &config,
             deadline,
             progress,
-        )?);
+        )?;
+        judgement.doubt(doubts);
     }
     log.keep();
 

@@ -10,19 +10,22 @@ use crate::progress::Progress;
 use crate::spacing::median_spacing_m;
 use crate::surface_cloud::SurfaceCloud;
 
-/// The points of a cloud that testify to a pose: its first ones, each with a weight.
+/// The points of a cloud that testify to a pose: its first ones. All points have a weight.
 ///
-/// Planes agree anywhere along themselves, so a point weighs by the curvature of the surface round
-/// it, looked at from far enough that noise does not count as shape.
+/// What half of a cloud looks like tells no place from another: planes agree anywhere along themselves,
+/// and so does ground in the thickness of its noise. So a point weighs by how much more the surface round
+/// it bends than at half of all points, looked at from far enough that noise does not count as shape; and
+/// a pair of points weighs as the one that weighs less.
 #[derive(Debug)]
 pub struct Witnesses {
     /// The cloud.
     pub cloud: SurfaceCloud,
-    /// One weight for each of its first points.
+    /// One weight for each point: of a witness its own, of any other that of the witness nearest to it.
     pub weights: Vec<f64>,
     /// How much surface the cloud covers, in a unit that it shares with the other one: points where both
     /// are as dense as their voxels, else cells that the sparser one fills.
     pub size: usize,
+    n_witnesses: usize,
 }
 
 impl Witnesses {
@@ -44,11 +47,18 @@ impl Witnesses {
         let density = n as f64 / smaller as f64;
         let of = |cloud: SurfaceCloud, size: usize, spacing_m: f64| -> Result<Self> {
             let n = cloud.len().min((size as f64 * density).ceil() as usize);
-            let weights = curvature_weights(&cloud, n, radius_m, spacing_m, progress)?;
+            let mut weights = curvature_weights(&cloud, n, radius_m, spacing_m, progress)?;
+            let others = &cloud.points()[n..];
+            let nearest = NeighborIndex::new(cloud.sample(n)).nearest_all(others, progress)?;
+            weights.reserve(others.len());
+            for witness in nearest {
+                weights.push(weights[witness.index as usize]);
+            }
             Ok(Self {
                 cloud,
                 weights,
                 size,
+                n_witnesses: n,
             })
         };
         let [first, second] = clouds;
@@ -61,12 +71,17 @@ impl Witnesses {
 
     /// Number of witnesses.
     pub fn len(&self) -> usize {
-        self.weights.len()
+        self.n_witnesses
     }
 
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
-        self.weights.is_empty()
+        self.n_witnesses == 0
+    }
+
+    /// Sum of the weights of the witnesses.
+    pub fn total_weight(&self) -> f64 {
+        self.weights[..self.n_witnesses].iter().sum()
     }
 
     /// How much of the cloud's size one witness stands for; 0 where there are none.
@@ -100,7 +115,7 @@ fn measured(clouds: &[SurfaceCloud; 2], voxel_size_m: f64) -> ([f64; 2], [usize;
     (spacings_m, sizes)
 }
 
-/// Planes weigh little, but not nothing: a scene of planes alone can still be scored.
+/// What is usual weighs little, but not nothing: a scene of planes alone can still be scored.
 fn curvature_weights(
     cloud: &SurfaceCloud,
     n: usize,
@@ -116,8 +131,23 @@ fn curvature_weights(
     let thinned = cloud.sample((cloud.len() as f64 * (N_NEIGHBORS / n_within).min(1.0)) as usize);
     let index = NeighborIndex::new(thinned);
     let surfaces = normals::estimate_within(cloud.sample(n), &index, radius_m, 3, progress)?;
-    let weight = |s: &Surface| (s.curvature / FULL_WEIGHT_CURVATURE).min(1.0) + LEAST_WEIGHT;
+    let usual = median_curvature(&surfaces);
+    let weight = |s: &Surface| {
+        ((s.curvature - usual) / FULL_WEIGHT_CURVATURE).clamp(0.0, 1.0) + LEAST_WEIGHT
+    };
     Ok(surfaces.iter().map(weight).collect())
+}
+
+/// Of the points where there is a surface; 0 where there are none.
+fn median_curvature(surfaces: &[Surface]) -> f64 {
+    let is_known = |s: &&Surface| s.normal != Surface::NONE.normal;
+    let mut curvatures: Vec<f64> =
+        (surfaces.iter().filter(is_known).map(|s| s.curvature)).collect();
+    if curvatures.is_empty() {
+        return 0.0;
+    }
+    let middle = (curvatures.len() - 1) / 2;
+    *curvatures.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
-//! What may be wrong with the input, where no pose was accepted.
+//! What may be wrong with the input, where a pose was not accepted, or does not lead by much.
 //!
-//! The same search, briefly, for a source that is mirrored or in another unit: if that stands out
-//! where the source as given did not, somebody should be told.
+//! The same search, briefly, for a source that is mirrored or in another unit: if that stands out,
+//! and more than the source as given, somebody should be told.
 
 use super::prepare::Prepared;
 use super::search;
@@ -34,10 +34,11 @@ const UNITS: [(f64, &str); 4] = [
     ),
 ];
 
-/// Sentences about the source, each tried and found to fit.
+/// Sentences about the source, each tried and found to fit better than a pose of that merit.
 pub(super) fn doubts(
     source: &Cloud,
     target: &Cloud,
+    merit: f64,
     config: &Config,
     deadline: Deadline,
     progress: &Progress<'_>,
@@ -58,8 +59,9 @@ pub(super) fn doubts(
         let mut log = StageLog::new(&quiet);
         match search::search(&prepared, &brief, deadline, &mut log, &quiet) {
             Ok(found) => {
-                let enough = search::enough(&brief);
-                Ok(enough.is_met_by(found.inlier_share(), found.ambiguity_ratio))
+                let stands_out =
+                    search::enough(&brief).is_met_by(found.inlier_share(), found.ambiguity_ratio);
+                Ok(stands_out && search::merit(&found) > merit)
             }
             Err(Error::NoSolution { .. }) => Ok(false),
             Err(other) => Err(other),

@@ -8,14 +8,15 @@
 //! Source: ours; thresholds measured in docs/robust_search.md.
 //! Absent on purpose: points; nothing is measured here.
 
+mod options;
 mod strength;
 
 use serde::{Deserialize, Serialize};
 
+pub use options::VerdictOptions;
 pub use strength::Strength;
 
 use crate::cloud::{Point, distance_sq};
-use crate::error::{Result, require_between};
 use crate::similarity::Similarity;
 
 /// The verdict.
@@ -38,95 +39,6 @@ impl Verdict {
             Self::Review => "review",
             Self::Rejected => "rejected",
         }
-    }
-}
-
-/// Where the lines are drawn.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct VerdictOptions {
-    /// Accept only above this share of inliers, in 0 to 1.
-    pub accept_inlier_share: f64,
-    /// Accept only where the best pose scores so many times its best rival; at least 1.
-    pub accept_ambiguity_ratio: f64,
-    /// Accept only where the share of inliers times the ambiguity ratio is above this: the less the
-    /// clouds share, the clearer the lead must be. At least 0.
-    pub accept_share_times_ratio: f64,
-    /// Accept only where the least constrained direction is held by this share of what all points
-    /// together could hold, in 0 to 1.
-    pub accept_strength: f64,
-    /// Accept only where the pose scores so many times what chance reaches; at least 1.
-    pub accept_lead_over_chance: f64,
-    /// Accept only where points held out of the fit lie at most so many times as far away as the
-    /// points in it; at least 1.
-    pub accept_held_out_ratio: f64,
-    /// Accept only where the surfaces lie at most so many times as far apart as they are rough
-    /// themselves; above 0.
-    pub accept_misfit: f64,
-    /// Accept only up to so many standard deviations from what was known of the pose; above 0.
-    pub accept_deviation_from_known: f64,
-    /// Reject below this share of inliers, in 0 to 1.
-    pub reject_inlier_share: f64,
-    /// Below this lead over the best rival another pose is as good; reject then, unless the share of
-    /// inliers would be accepted. At least 1.
-    pub reject_ambiguity_ratio: f64,
-}
-
-impl Default for VerdictOptions {
-    fn default() -> Self {
-        Self {
-            accept_inlier_share: 0.30,
-            accept_ambiguity_ratio: 1.45,
-            accept_share_times_ratio: 0.75,
-            accept_strength: 0.003,
-            accept_lead_over_chance: 1.2,
-            accept_held_out_ratio: 1.5,
-            accept_misfit: 1.3,
-            accept_deviation_from_known: 3.0,
-            reject_inlier_share: 0.20,
-            reject_ambiguity_ratio: 1.10,
-        }
-    }
-}
-
-impl VerdictOptions {
-    pub(crate) fn check(&self) -> Result<()> {
-        require_between(
-            "verdict.accept_inlier_share",
-            self.accept_inlier_share,
-            0.0,
-            1.0,
-        )?;
-        require_between("verdict.accept_strength", self.accept_strength, 0.0, 1.0)?;
-        require_between(
-            "verdict.reject_inlier_share",
-            self.reject_inlier_share,
-            0.0,
-            self.accept_inlier_share,
-        )?;
-        let ratio = self.accept_ambiguity_ratio;
-        require_between("verdict.accept_ambiguity_ratio", ratio, 1.0, f64::MAX)?;
-        let product = self.accept_share_times_ratio;
-        require_between("verdict.accept_share_times_ratio", product, 0.0, f64::MAX)?;
-        for (name, value, least) in [
-            ("accept_lead_over_chance", self.accept_lead_over_chance, 1.0),
-            ("accept_held_out_ratio", self.accept_held_out_ratio, 1.0),
-            ("accept_misfit", self.accept_misfit, f64::MIN_POSITIVE),
-            (
-                "accept_deviation_from_known",
-                self.accept_deviation_from_known,
-                f64::MIN_POSITIVE,
-            ),
-        ] {
-            require_between(&format!("verdict.{name}"), value, least, f64::MAX)?;
-        }
-        require_between(
-            "verdict.reject_ambiguity_ratio",
-            self.reject_ambiguity_ratio,
-            1.0,
-            ratio,
-        )?;
-        Ok(())
     }
 }
 
@@ -199,6 +111,21 @@ pub struct Judgement {
     pub verdict: Verdict,
     /// Sentences for the person who signs.
     pub reasons: Vec<String>,
+}
+
+impl Judgement {
+    /// Adds reasons to doubt the input. What is doubted is not accepted, and not all that was
+    /// accepted is said of it any longer.
+    pub(crate) fn doubt(&mut self, doubts: Vec<String>) {
+        if doubts.is_empty() {
+            return;
+        }
+        if self.verdict == Verdict::Accepted {
+            self.verdict = Verdict::Review;
+            self.reasons.clear();
+        }
+        self.reasons.extend(doubts);
+    }
 }
 
 /// Judges.
@@ -593,5 +520,28 @@ mod tests {
                 .to_string()
                 .contains("reject_inlier_share")
         );
+    }
+
+    #[test]
+    fn what_is_doubted_is_not_accepted() {
+        let options = VerdictOptions::default();
+        let doubted = |evidence: Evidence| {
+            let mut judgement = judge(&evidence, &options);
+            judgement.doubt(vec!["mirrored".into()]);
+            judgement
+        };
+        let review = doubted(good());
+        assert_eq!(review.verdict, Verdict::Review);
+        // Not also that all is well.
+        assert_eq!(review.reasons, ["mirrored"]);
+        let rejected = doubted(Evidence {
+            inlier_share: 0.05,
+            ..good()
+        });
+        assert_eq!(rejected.verdict, Verdict::Rejected);
+        assert_eq!(rejected.reasons.len(), 2);
+        let mut accepted = judge(&good(), &options);
+        accepted.doubt(Vec::new());
+        assert_eq!(accepted, judge(&good(), &options));
     }
 }

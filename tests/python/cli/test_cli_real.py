@@ -52,3 +52,11 @@ def test_another_plot_is_not_accepted(data_dir: Path, tmp_path: Path) -> None:
     forest = data_dir / "survey" / "forest"
     result = run("register", forest / "TLS_Clip.laz", forest / "UAS_Clip.laz", "-o", tmp_path / "out")
     assert result.exit_code == 4
+
+
+def test_a_mirrored_room_is_not_accepted_though_two_thirds_of_it_fit(data_dir: Path) -> None:
+    room = tmchho.read(data_dir / "survey" / "room" / "room_scan1.pcd").xyz
+    found = tmchho.register(room * [-1, 1, 1], room)
+    assert found.inlier_share > 0.6
+    assert found.verdict == "review"
+    assert any("mirrored" in reason for reason in found.reasons)
