@@ -193,6 +193,7 @@ fn stages(criterion: &mut Criterion) {
                 inlier_share: 0.0,
                 ambiguity_ratio: 0.0,
                 share_times_ratio: 0.0,
+                misfit: f64::INFINITY,
             };
             let found = search_robust(&problem, &options, enough, Deadline::default(), 0, &silent);
             black_box(found.is_ok());

@@ -35,7 +35,7 @@ pub const VOXELS_PER_EXTENT: f64 = 250.0;
 /// The fine pose is kept unless the clouds agree by less than this share of what they did before.
 const LEAST_KEPT: f64 = 0.99;
 /// A pose that leads its rivals by more is not doubted: whether the source is mirrored is not tried.
-const CLEAR_AMBIGUITY_RATIO: f64 = 2.5;
+const CLEAR_AMBIGUITY_RATIO: f64 = 3.0;
 /// A partner within so many voxels supports the pose, where no distance is asked for.
 pub const SUPPORT_IN_VOXELS: f64 = 2.5;
 
@@ -155,7 +155,7 @@ fn route(
                 }
             }
         }
-        let stands_out = enough.is_met_by(found.inlier_share(), found.ambiguity_ratio);
+        let stands_out = found.stands_out(enough);
         let merit = search::merit(&found);
         if best.as_ref().is_none_or(|(_, b)| merit > search::merit(b)) {
             best = Some((prepared, found));

@@ -22,6 +22,7 @@ pub(crate) use robust::{N_WITNESSES, WITNESS_RADIUS};
 pub use robust::{Problem, StandingOut, search_robust};
 
 use crate::error::Error;
+use crate::fitness::Agreement;
 use crate::rigid::Rigid;
 use crate::similarity::Similarity;
 
@@ -33,9 +34,8 @@ pub struct Candidate {
     /// What candidates are ranked by, higher is better: in robust mode the curvature-weighted
     /// symmetric share of inliers, 0 to about 1, divided by the misfit where that is above 1; in paper mode minus the RMS of Eq. (1).
     pub score: f64,
-    /// Surface of both clouds with a partner and an agreeing normal, by twice that of the smaller
-    /// cloud; NaN in paper mode.
-    pub inlier_share: f64,
+    /// How far the clouds agree there; NaN throughout in paper mode.
+    pub agreement: Agreement,
 }
 
 /// What the search found and what it cost.
@@ -64,7 +64,12 @@ pub struct CoarseResult {
 impl CoarseResult {
     /// Share of inliers of the best candidate.
     pub fn inlier_share(&self) -> f64 {
-        self.candidates[0].inlier_share
+        self.candidates[0].agreement.inlier_share
+    }
+
+    /// Whether the best candidate stands out so that no more is to be searched.
+    pub fn stands_out(&self, wanted: StandingOut) -> bool {
+        wanted.is_met_by(&self.candidates[0].agreement, self.ambiguity_ratio)
     }
 }
 

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::{Candidate, CoarseResult};
 use crate::cloud::{Point, bounds, centroid, distance_sq};
 use crate::error::{Error, Result};
-use crate::fitness::rms_below;
+use crate::fitness::{Agreement, rms_below};
 use crate::neighbors::NeighborIndex;
 use crate::optim::{Bounds, HawkOptions, Method, Objective, StopReason};
 use crate::progress::{Event, Progress, Stage};
@@ -127,7 +127,11 @@ pub fn search_paper(
                 .between_given_coordinates(source_middle, target_middle)
                 .into(),
             score: -found.fun,
-            inlier_share: f64::NAN,
+            agreement: Agreement {
+                inlier_share: f64::NAN,
+                weighted_share: f64::NAN,
+                misfit: f64::NAN,
+            },
         }],
         ambiguity_ratio: f64::NAN,
         chance_score: f64::NAN,

@@ -13,7 +13,7 @@ use super::verify::{Knowledge, Verifier};
 use super::{Candidate, CoarseResult, RobustSearchOptions};
 use crate::deadline::Deadline;
 use crate::error::{Error, Result, require_positive};
-use crate::fitness::Witnesses;
+use crate::fitness::{Agreement, Witnesses};
 use crate::freedom::Freedom;
 use crate::observations::LocalObservations;
 use crate::progress::Progress;
@@ -42,6 +42,8 @@ pub struct StandingOut {
     pub ambiguity_ratio: f64,
     /// And above this product of both.
     pub share_times_ratio: f64,
+    /// And not above this misfit; one that is NaN is none.
+    pub misfit: f64,
 }
 
 impl StandingOut {
@@ -54,11 +56,14 @@ impl StandingOut {
         }
     }
 
-    /// Whether a pose of that share of inliers and lead over its rivals stands out.
-    pub fn is_met_by(&self, share: f64, ratio: f64) -> bool {
+    /// Whether a pose where the clouds agree so far, and that leads its rivals by that ratio, stands out.
+    pub fn is_met_by(&self, agreement: &Agreement, ratio: f64) -> bool {
+        let share = agreement.inlier_share;
+        let lies_apart = agreement.misfit > self.misfit;
         share > self.inlier_share
             && ratio > self.ambiguity_ratio
             && share * ratio > self.share_times_ratio
+            && !lies_apart
     }
 }
 
@@ -224,7 +229,7 @@ pub fn search_robust(
                 false => v.pose.inverse(),
             },
             score: v.agreement.score(),
-            inlier_share: v.agreement.inlier_share,
+            agreement: v.agreement,
         })
         .collect();
     if candidates.is_empty() {
@@ -249,4 +254,36 @@ pub fn search_robust(
         ended_early: !stands_out && deadline.is_over(),
         unit_m,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_stands_out_by_all_its_figures_and_early_by_more() {
+        let wanted = StandingOut {
+            inlier_share: 0.3,
+            ambiguity_ratio: 1.6,
+            share_times_ratio: 0.75,
+            misfit: 1.3,
+        };
+        let at = |inlier_share: f64, misfit: f64| Agreement {
+            inlier_share,
+            weighted_share: inlier_share,
+            misfit,
+        };
+        let is_met = |share, ratio, misfit| wanted.is_met_by(&at(share, misfit), ratio);
+        assert!(is_met(0.5, 1.7, 0.9));
+        assert!(!is_met(0.29, 9.0, 0.9));
+        assert!(!is_met(0.9, 1.5, 0.9));
+        assert!(!is_met(0.35, 1.7, 0.9));
+        assert!(!is_met(0.5, 1.7, 1.4));
+        // What was not measured is no reproach, a lead that was not is no lead.
+        assert!(is_met(0.5, 1.7, f64::NAN));
+        assert!(!is_met(0.5, f64::NAN, 0.9));
+        let is_met_early = |share, ratio| wanted.early().is_met_by(&at(share, 0.9), ratio);
+        assert!(is_met_early(0.8, 2.6));
+        assert!(!is_met_early(0.7, 9.0) && !is_met_early(0.9, 2.4));
+    }
 }

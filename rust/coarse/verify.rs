@@ -207,8 +207,8 @@ impl<'a> Verifier<'a> {
     }
 
     fn meets(&self, wanted: StandingOut) -> bool {
-        let share = self.best().map_or(0.0, |v| v.agreement.inlier_share);
-        wanted.is_met_by(share, self.ambiguity_ratio)
+        self.best()
+            .is_some_and(|best| wanted.is_met_by(&best.agreement, self.ambiguity_ratio))
     }
 
     fn best_score_so_far(&self) -> f64 {

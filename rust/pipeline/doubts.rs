@@ -59,8 +59,7 @@ pub(super) fn doubts(
         let mut log = StageLog::new(&quiet);
         match search::search(&prepared, &brief, deadline, &mut log, &quiet) {
             Ok(found) => {
-                let stands_out =
-                    search::enough(&brief).is_met_by(found.inlier_share(), found.ambiguity_ratio);
+                let stands_out = found.stands_out(search::enough(&brief));
                 Ok(stands_out && search::merit(&found) > merit)
             }
             Err(Error::NoSolution { .. }) => Ok(false),

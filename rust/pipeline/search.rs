@@ -28,6 +28,7 @@ pub(super) fn enough(config: &Config) -> StandingOut {
         inlier_share: config.verdict.accept_inlier_share,
         ambiguity_ratio: config.verdict.accept_ambiguity_ratio,
         share_times_ratio: config.verdict.accept_share_times_ratio,
+        misfit: config.verdict.accept_misfit,
     }
 }
 
@@ -93,7 +94,7 @@ pub(super) fn looks_for_strays(config: &Config, found: &CoarseResult) -> bool {
         && config.dof != Freedom::Similarity
         && config.outliers.radius_m.is_none()
         && !found.ended_early
-        && !enough(config).is_met_by(found.inlier_share(), found.ambiguity_ratio)
+        && !found.stands_out(enough(config))
 }
 
 /// The scales at which the search is begun: 1, what control points say, or evenly spaced over the
