@@ -33,7 +33,7 @@ use crate::verdict::{Evidence, Rival, Strength, Verdict, judge};
 /// Voxels along the extent of the smaller cloud, where no edge is asked for.
 pub const VOXELS_PER_EXTENT: f64 = 250.0;
 /// The fine pose is kept unless the clouds agree by less than this share of what they did before; from one
-/// good pose to another the score changes by less than a hundredth.
+/// good pose to another the score may change by a hundredth.
 const LEAST_KEPT: f64 = 0.97;
 /// A pose that leads its rivals by more is not doubted: whether the source is mirrored is not tried.
 const CLEAR_AMBIGUITY_RATIO: f64 = 3.0;

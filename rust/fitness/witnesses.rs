@@ -47,13 +47,10 @@ impl Witnesses {
         let density = n as f64 / smaller as f64;
         let of = |cloud: SurfaceCloud, size: usize, spacing_m: f64| -> Result<Self> {
             let n = cloud.len().min((size as f64 * density).ceil() as usize);
-            let mut weights = curvature_weights(&cloud, n, radius_m, spacing_m, progress)?;
-            let others = &cloud.points()[n..];
-            let nearest = NeighborIndex::new(cloud.sample(n)).nearest_all(others, progress)?;
-            weights.reserve(others.len());
-            for witness in nearest {
-                weights.push(weights[witness.index as usize]);
-            }
+            let own = curvature_weights(&cloud, n, radius_m, spacing_m, progress)?;
+            let witnesses = NeighborIndex::new(cloud.sample(n));
+            let nearest = witnesses.nearest_to(&cloud.index.places(), progress)?;
+            let weights = nearest.iter().map(|it| own[it.index as usize]).collect();
             Ok(Self {
                 cloud,
                 weights,
