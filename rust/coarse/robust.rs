@@ -29,9 +29,11 @@ const N_NEAR_KNOWN: usize = 64;
 
 /// Early rounds look at this share of the poses of the others.
 const EARLY: usize = 4;
-/// After early rounds, which have met few rivals, the best pose must stand out by more.
-const EARLY_SHARE: f64 = 0.75;
+/// After early rounds, which have met few rivals, the best pose must stand out by more: so far at first,
+/// and so far where it was also turned about itself.
 const EARLY_RATIO: f64 = 2.5;
+const EARLY_SHARE: f64 = 0.75;
+const TURNED_SHARE_TIMES_RATIO: f64 = 1.9;
 
 /// When a pose stands out, so that the search may end.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,6 +54,15 @@ impl StandingOut {
         Self {
             inlier_share: self.inlier_share.max(EARLY_SHARE),
             ambiguity_ratio: self.ambiguity_ratio.max(EARLY_RATIO),
+            ..self
+        }
+    }
+
+    /// The same where the pose has been compared with itself turned about its middle.
+    fn early_though_turned(self) -> Self {
+        Self {
+            ambiguity_ratio: self.ambiguity_ratio.max(EARLY_RATIO),
+            share_times_ratio: self.share_times_ratio.max(TURNED_SHARE_TIMES_RATIO),
             ..self
         }
     }
@@ -216,6 +227,20 @@ pub fn search_robust(
             false => enough.early(),
         };
         stands_out = verifier.stands_out(wanted, n_early, deadline, progress)?;
+        if stands_out || has_met_rivals {
+            continue;
+        }
+        // A room or a box fits nearly as well turned about itself, which few starts have met yet.
+        let wanted = enough.early_though_turned();
+        if let Some(best) = verifier.standing_out(wanted) {
+            let starts = Starts::turned(&best, unit_m, problem.freedom, seed);
+            let start = |i| starts.pose(i);
+            let (mut turned, n_poses) = explorer.basins(starts.len(), start, deadline, progress)?;
+            n_explored += n_poses;
+            turned.truncate(n_early);
+            verifier.look_at(&turned, 0, deadline, progress)?;
+            stands_out = verifier.stands_out(wanted, n_early, deadline, progress)?;
+        }
     }
     const MAX_CANDIDATES: usize = 8;
     let n_evaluations = n_explored + verifier.n_evaluations;
@@ -285,5 +310,9 @@ mod tests {
         let is_met_early = |share, ratio| wanted.early().is_met_by(&at(share, 0.9), ratio);
         assert!(is_met_early(0.8, 2.6));
         assert!(!is_met_early(0.7, 9.0) && !is_met_early(0.9, 2.4));
+        let though_turned = wanted.early_though_turned();
+        let is_met_turned = |share, ratio| though_turned.is_met_by(&at(share, 0.9), ratio);
+        assert!(is_met_turned(0.4, 5.0));
+        assert!(!is_met_turned(0.4, 4.0) && !is_met_turned(0.9, 2.4));
     }
 }

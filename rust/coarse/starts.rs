@@ -16,14 +16,20 @@ const PITCH: [f64; 2] = [0.2, 0.15];
 const N_FIRST_ROUNDS: usize = 2;
 const REACH: f64 = 0.4;
 const JITTER: f64 = 0.05;
+/// Starts turned about a pose: so many rotations, each so often, within so far of where the pose is.
+const N_TURNS: usize = 60;
+const STARTS_A_TURN: usize = 4;
+const JITTER_OF_TURNED: f64 = 0.1;
 /// Points of the fixed cloud from which places are derived.
 const N_PLACES_FROM: usize = 4000;
 
-/// The starts of one round: every rotation at every place.
+/// Starts of one kind: every rotation at every place.
 pub(super) struct Starts {
     rotations: Vec<Matrix3<f64>>,
     places: Vec<Point>,
     jitter_m: f64,
+    /// What the jitter is drawn for: no two rounds share it.
+    purpose: &'static str,
     round: u64,
     seed: u64,
 }
@@ -44,7 +50,23 @@ impl Starts {
             rotations: rotations(n_rotations, freedom, &mut stream),
             places: anchors(sample, pitch * unit_m, REACH * unit_m),
             jitter_m: JITTER * unit_m,
+            purpose: "jitter",
             round: round as u64,
+            seed,
+        }
+    }
+
+    /// `pose`, turned about where it brings the middle of the moving cloud, by rotations spread evenly over
+    /// those that are free.
+    pub(super) fn turned(pose: &Rigid, unit_m: f64, freedom: Freedom, seed: u64) -> Self {
+        let mut stream = Stream::new(seed, "turns", 0);
+        let turns = rotations(N_TURNS, freedom, &mut stream);
+        Self {
+            rotations: turns.iter().map(|turn| turn * pose.rotation).collect(),
+            places: vec![pose.translation.into(); STARTS_A_TURN],
+            jitter_m: JITTER_OF_TURNED * unit_m,
+            purpose: "jitter of turned",
+            round: 0,
             seed,
         }
     }
@@ -54,7 +76,7 @@ impl Starts {
     }
 
     pub(super) fn pose(&self, i: usize) -> Rigid {
-        let mut stream = Stream::new(self.seed, "jitter", (self.round << 32) + i as u64);
+        let mut stream = Stream::new(self.seed, self.purpose, (self.round << 32) + i as u64);
         let place = self.places[i / self.rotations.len()];
         Rigid {
             rotation: self.rotations[i % self.rotations.len()],

@@ -192,23 +192,22 @@ impl<'a> Verifier<'a> {
         deadline: Deadline,
         progress: &Progress<'_>,
     ) -> Result<bool> {
-        if !self.meets(wanted) {
+        let Some(best) = self.standing_out(wanted) else {
             return Ok(false);
-        }
-        let best = self.best().map(|best| best.pose.rigid);
-        let (moving, fixed, unit_m) = (self.moving, self.fixed, self.unit_m);
-        let echoes = best.map_or_else(Vec::new, |best| {
-            echoes(moving, fixed, &best, unit_m, max_echoes)
-        });
+        };
+        let echoes = echoes(self.moving, self.fixed, &best, self.unit_m, max_echoes);
         if !echoes.is_empty() {
             self.look_at(&echoes, 0, deadline, progress)?;
         }
-        Ok(self.meets(wanted))
+        Ok(self.standing_out(wanted).is_some())
     }
 
-    fn meets(&self, wanted: StandingOut) -> bool {
-        self.best()
-            .is_some_and(|best| wanted.is_met_by(&best.agreement, self.ambiguity_ratio))
+    /// The best pose, without its scale, if it stands out from the rivals met so far.
+    pub(super) fn standing_out(&self, wanted: StandingOut) -> Option<Rigid> {
+        let best = self.best()?;
+        wanted
+            .is_met_by(&best.agreement, self.ambiguity_ratio)
+            .then_some(best.pose.rigid)
     }
 
     fn best_score_so_far(&self) -> f64 {
