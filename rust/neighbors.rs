@@ -272,14 +272,14 @@ impl NeighborIndex {
         )
     }
 
-    /// What `answer` makes of the `k` points nearest to each of `places` (in no particular order, though
-    /// always the same); in the order in which the places were given.
+    /// What `answer` makes of each of `places` and the `k` points nearest to it (in no particular order,
+    /// though always the same); in the order in which the places were given.
     pub(crate) fn map_k_nearest<T: Copy + Send + Sync>(
         &self,
         places: &Places,
         k: usize,
         progress: &Progress<'_>,
-        answer: impl Fn(&[Point]) -> T + Sync + Send,
+        answer: impl Fn(&Point, &[Point]) -> T + Sync + Send,
     ) -> Result<Vec<T>> {
         /// How much farther, squared, the k-th point may be than those of the places before.
         const MARGIN: f64 = 1.3;
@@ -312,7 +312,8 @@ impl NeighborIndex {
             }
             nearest.finish();
             scratch.farthest_sq = greater(nearest.reach_sq(), scratch.farthest_sq);
-            answer(self.points_at(&nearest.found, &mut scratch.points))
+            let found = self.points_at(&nearest.found, &mut scratch.points);
+            answer(places.point(at), found)
         };
         self.tree.ask_all(places, progress, scratch, begin, end)
     }

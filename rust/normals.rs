@@ -63,7 +63,8 @@ pub fn estimate(
     progress: &Progress<'_>,
 ) -> Result<Vec<Surface>> {
     require_at_least("k", k, LEAST_POINTS)?;
-    index.map_k_nearest(&places(points, index), k, progress, surface_through)
+    let through = |_: &Point, near: &[Point]| surface_through(near);
+    index.map_k_nearest(&places(points, index), k, progress, through)
 }
 
 /// The surface at each of `points` from the points of `index` within `radius_m` of it;

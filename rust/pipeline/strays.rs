@@ -8,9 +8,8 @@
 
 use crate::cloud::{Cloud, Point, distance_sq, dot};
 use crate::error::Result;
-use crate::neighbors::NeighborIndex;
+use crate::neighbors::{Block, Collector, NeighborIndex, WIDTH};
 use crate::normals::Symmetric;
-use crate::parallel;
 use crate::progress::Progress;
 use crate::voxel::VoxelResult;
 
@@ -39,46 +38,64 @@ pub(super) fn without_strays(
     voxel_size_m: f64,
     progress: &Progress<'_>,
 ) -> Result<Cloud> {
-    let dense = where_many_stand(voxels, voxel_size_m);
+    let dense = where_many_stand(voxels, voxel_size_m, progress)?;
     let index = NeighborIndex::new(&dense);
-    let is_kept = parallel::map_cheap(dense.len(), progress, |i| {
-        let mut near = Vec::with_capacity(N_NEAR);
-        index.k_nearest(&dense[i], N_NEAR, &mut near);
-        let near: Vec<Point> = near.iter().map(|it| dense[it.index as usize]).collect();
-        is_on_surface(&near)
-    })?;
+    let is_kept = index.map_k_nearest(&index.places(), N_NEAR, progress, is_on_surface)?;
     let kept = dense.into_iter().zip(is_kept);
     let kept = kept.filter_map(|(p, is_kept)| is_kept.then_some(p));
     Ok(Cloud::from_local(voxels.cloud.origin(), kept.collect()))
 }
 
 /// The voxels round which many points stand.
-fn where_many_stand(voxels: &VoxelResult, voxel_size_m: f64) -> Vec<Point> {
+fn where_many_stand(
+    voxels: &VoxelResult,
+    voxel_size_m: f64,
+    progress: &Progress<'_>,
+) -> Result<Vec<Point>> {
     let (cloud, n_points) = (&voxels.cloud, &voxels.n_points);
     let index = NeighborIndex::new(cloud.points());
-    let n_near: Vec<u64> = parallel::map(cloud.len(), |i| {
-        let mut near = Vec::new();
-        index.within(
-            &cloud.points()[i],
-            RADIUS_IN_VOXELS * voxel_size_m,
-            &mut near,
-        );
-        let n = |voxel: u32| u64::from(n_points[voxel as usize]);
-        near.iter().map(|neighbor| n(neighbor.index)).sum()
-    });
+    let fresh = || PointsWithin {
+        radius_sq: (RADIUS_IN_VOXELS * voxel_size_m).powi(2),
+        n_points,
+        sum: 0,
+    };
+    let n_near = index.map_collected(&index.places(), fresh, progress, |near| near.sum)?;
     let least = LEAST_SHARE * half_of_all_have(&n_near, n_points) as f64;
-    (0..cloud.len())
+    Ok((0..cloud.len())
         .filter(|i| n_near[*i] as f64 >= least)
         .map(|i| cloud.points()[i])
-        .collect()
+        .collect())
 }
 
-/// Whether the first of some points, the nearest first, lies on the plane that most of them lie on; true
-/// where they tell no plane.
-fn is_on_surface(near: &[Point]) -> bool {
-    let [own, .., last] = near else { return true };
-    let reach_m = distance_sq(own, last).sqrt();
-    let (mut weights, mut off) = ([1.0; N_NEAR], [0.0; N_NEAR]);
+/// How many points the voxels within a radius hold.
+#[derive(Clone)]
+struct PointsWithin<'a> {
+    radius_sq: f64,
+    n_points: &'a [u32],
+    sum: u64,
+}
+
+impl Collector for PointsWithin<'_> {
+    #[inline(always)]
+    fn reach_sq(&self) -> f64 {
+        self.radius_sq
+    }
+
+    #[inline(always)]
+    fn take(&mut self, place: &Point, block: &Block, _: usize) -> bool {
+        let distances_sq = block.distances_sq(place);
+        for lane in (0..WIDTH).filter(|lane| distances_sq[*lane] <= self.radius_sq) {
+            self.sum += u64::from(self.n_points[block.indices[lane] as usize]);
+        }
+        false
+    }
+}
+
+/// Whether `own`, one of the points that stand `near`, lies on the plane that most of them lie on; true where
+/// they tell no plane.
+fn is_on_surface(own: &Point, near: &[Point]) -> bool {
+    let reach_m = (near.iter().map(|p| distance_sq(own, p)).fold(0.0, f64::max)).sqrt();
+    let (mut weights, mut off, mut own_off) = ([1.0; N_NEAR], [0.0; N_NEAR], 0.0);
     for pull in PULLS {
         let total: f64 = weights[..near.len()].iter().sum();
         let mut middle = [0.0; 3];
@@ -95,14 +112,24 @@ fn is_on_surface(near: &[Point]) -> bool {
         let Some((normal, _)) = scatter.least() else {
             return true;
         };
-        for (p, (weight, off)) in near.iter().zip(weights.iter_mut().zip(&mut off)) {
-            *off = dot(&normal, &from_middle(p)).abs() / reach_m;
-            *weight = (-0.5 * (*off / pull).powi(2)).exp();
+        let off_plane = |p: &Point| dot(&normal, &from_middle(p)).abs() / reach_m;
+        for (p, off) in near.iter().zip(&mut off) {
+            *off = off_plane(p);
+        }
+        own_off = off_plane(own);
+        if off.iter().all(|off| *off < ON_SURFACE) {
+            // Where nobody stands off it, there is no other plane to be drawn to.
+            return true;
+        }
+        for (weight, off) in weights.iter_mut().zip(off) {
+            *weight = (-0.5 * (off / pull).powi(2)).exp();
         }
     }
-    let off = &off[..near.len()];
-    let n_in = off.iter().filter(|off| **off < IN_SURFACE).count();
-    off[0] < ON_SURFACE && n_in as f64 > LEAST_IN_SURFACE * near.len() as f64
+    let n_in = off[..near.len()]
+        .iter()
+        .filter(|off| **off < IN_SURFACE)
+        .count();
+    own_off < ON_SURFACE && n_in as f64 > LEAST_IN_SURFACE * near.len() as f64
 }
 
 /// The median over the points of the cloud of how many stand round about; 0 for no voxels.
