@@ -116,11 +116,17 @@ fn route(
     };
     for scale in scales {
         log.begin(Stage::Voxel, source_cleaned.len(), target_cleaned.len())?;
-        let mut prepared =
-            Prepared::new(&source_cleaned, &target_cleaned, scale, &config, progress)?;
+        let prepared = Prepared::new(&source_cleaned, &target_cleaned, scale, &config, progress)?;
         log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
-        let found = search::search(&prepared, &search_config, deadline, &mut log, progress);
-        let mut found = match found {
+        let found = search::search_also_without_strays(
+            prepared,
+            [&source_cleaned, &target_cleaned],
+            &search_config,
+            deadline,
+            &mut log,
+            progress,
+        );
+        let (prepared, found) = match found {
             // At another scale there may be a pose.
             Err(Error::NoSolution { .. }) if config.dof == Freedom::Similarity => continue,
             Err(Error::NoSolution { reason }) if config.mode == Mode::Robust => {
@@ -138,24 +144,6 @@ fn route(
             other => other?,
         };
         log.keep();
-        if search::looks_for_strays(&config, &found) {
-            let (source, target) = (&source_cleaned, &target_cleaned);
-            log.begin(Stage::Voxel, source.len(), target.len())?;
-            let cleaned = prepared.without_strays(source, target, &config, progress)?;
-            let counted = cleaned.as_ref().unwrap_or(&prepared);
-            log.end(counted.source.cloud.len(), counted.target.cloud.len());
-            if let Some(cleaned) = cleaned {
-                let again = search::search(&cleaned, &search_config, deadline, &mut log, progress);
-                log.keep();
-                match again {
-                    Ok(again) if search::merit(&again) > search::merit(&found) => {
-                        (prepared, found) = (cleaned, again);
-                    }
-                    Ok(_) | Err(Error::NoSolution { .. }) => {}
-                    Err(other) => return Err(other),
-                }
-            }
-        }
         let stands_out = found.stands_out(enough);
         let merit = search::merit(&found);
         if best.as_ref().is_none_or(|(_, b)| merit > search::merit(b)) {

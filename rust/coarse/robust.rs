@@ -6,6 +6,8 @@
 //! clouds agree. Where the best pose does not stand out, another round tries more starts.
 //! Source: ours; measured in docs/robust_search.md.
 
+use std::ops::ControlFlow;
+
 use super::explore::Explorer;
 use super::hypotheses;
 use super::starts::{self, Starts};
@@ -137,6 +139,21 @@ pub fn search_robust(
     seed: u64,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
+    let goes_on = || Ok(ControlFlow::Continue(()));
+    search_asking(problem, options, enough, deadline, seed, goes_on, progress)
+}
+
+/// [`search_robust`], which asks before it searches widely, where that is needed: that costs most, and other
+/// clouds may be better searched. On a break it ends there.
+pub(crate) fn search_asking(
+    problem: &Problem<'_>,
+    options: &RobustSearchOptions,
+    enough: StandingOut,
+    deadline: Deadline,
+    seed: u64,
+    before_wide: impl FnOnce() -> Result<ControlFlow<()>>,
+    progress: &Progress<'_>,
+) -> Result<CoarseResult> {
     options.check()?;
     let unit_m = require_positive("unit_m", problem.unit_m)?;
     let source_moves = problem.source.cloud.len() <= problem.target.cloud.len();
@@ -191,13 +208,22 @@ pub fn search_robust(
         Rigid::identity().between_local_coordinates(moving.cloud.origin, fixed.cloud.origin);
     let mut given = vec![as_given, Rigid::identity()];
     let rounds = rounds(options, problem.freedom);
+    let mut before_wide = Some(before_wide);
     let mut has_met_rivals = false;
     for (i, round) in rounds.iter().enumerate() {
         if stands_out || (n_rounds > 0 && deadline.is_over()) {
             break;
         }
+        let meets_rivals = round.is_wide() || i + 1 == rounds.len();
+        if meets_rivals
+            && n_rounds > 0
+            && let Some(before_wide) = before_wide.take()
+            && before_wide()?.is_break()
+        {
+            break;
+        }
         n_rounds += 1;
-        has_met_rivals |= round.is_wide() || i + 1 == rounds.len();
+        has_met_rivals |= meets_rivals;
         let found = match *round {
             Round::Starts { index, n_rotations } => {
                 let which = (index, n_rotations);

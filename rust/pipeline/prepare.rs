@@ -1,7 +1,7 @@
 //! Two clouds made comparable: one voxel for both, surfaces, and witnesses.
 
 use super::VOXELS_PER_EXTENT;
-use super::strays::without_strays;
+use super::strays::{share_of_strays, without_strays};
 use crate::cloud::{Cloud, MIN_POINTS, Point};
 use crate::coarse;
 use crate::config::Config;
@@ -67,6 +67,18 @@ impl Prepared {
             config,
             progress,
         )
+    }
+
+    /// Whether many voxels of either cloud are those of strays.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub(super) fn is_strewn(&self, progress: &Progress<'_>) -> Result<bool> {
+        /// Of a cloud whose points are strays by 30 %, more than a third of all voxels are.
+        const MANY: f64 = 0.2;
+        let share = |of: &Witnesses| share_of_strays(&of.cloud, progress);
+        let (of_source, of_target) = parallel::both(|| share(&self.source), || share(&self.target));
+        Ok(of_source?.max(of_target?) > MANY)
     }
 
     /// The same without the voxels of strays; `None` where hardly any would go, or hardly any stay.

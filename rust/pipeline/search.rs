@@ -1,11 +1,13 @@
 //! Stage 4 of the route: the search that the mode asks for, at one scale or at several.
 
+use std::ops::ControlFlow;
+
 use super::prepare::Prepared;
 use crate::cloud::{Cloud, Point};
 use crate::coarse::{self, CoarseResult, Problem, StandingOut};
 use crate::config::{Config, Mode};
 use crate::deadline::Deadline;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::freedom::Freedom;
 use crate::keypoints::{self, RADIUS_IN_VOXELS};
 use crate::neighbors::NeighborIndex;
@@ -41,34 +43,124 @@ pub(super) fn search(
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
     let (n_source, n_target) = (prepared.source.cloud.len(), prepared.target.cloud.len());
-    match config.mode {
-        Mode::Robust => {
-            log.begin(Stage::Coarse, n_source, n_target)?;
-            let (angle_rad, shift_m) = (SLACK_RAD, SLACK * prepared.unit_m);
-            let known = prepared.known(&config.known.loosened(angle_rad, shift_m))?;
-            let enough = enough(config);
-            let problem = Problem {
-                source: &prepared.source,
-                target: &prepared.target,
-                unit_m: prepared.unit_m,
-                freedom: config.dof,
-                known: &known,
-            };
-            let options = &config.coarse;
-            coarse::search_robust(&problem, options, enough, deadline, config.seed, progress)
-        }
-        Mode::Paper => {
-            log.begin(Stage::Keypoints, n_source, n_target)?;
-            let of_source = (&prepared.source_voxels, prepared.source.cloud.origin);
-            let of_target = (&prepared.target_voxels, prepared.target.cloud.origin);
-            let voxel_size_m = prepared.voxel_size_m;
-            let source = keypoints(of_source.0, of_source.1, voxel_size_m, config, progress)?;
-            let target = keypoints(of_target.0, of_target.1, voxel_size_m, config, progress)?;
-            log.end(source.len(), target.len());
-            log.begin(Stage::Coarse, source.len(), target.len())?;
-            coarse::search_paper(&source, &target, &config.paper, config.seed, progress)
-        }
+    if config.mode == Mode::Paper {
+        log.begin(Stage::Keypoints, n_source, n_target)?;
+        let of_source = (&prepared.source_voxels, prepared.source.cloud.origin);
+        let of_target = (&prepared.target_voxels, prepared.target.cloud.origin);
+        let voxel_size_m = prepared.voxel_size_m;
+        let source = keypoints(of_source.0, of_source.1, voxel_size_m, config, progress)?;
+        let target = keypoints(of_target.0, of_target.1, voxel_size_m, config, progress)?;
+        log.end(source.len(), target.len());
+        log.begin(Stage::Coarse, source.len(), target.len())?;
+        return coarse::search_paper(&source, &target, &config.paper, config.seed, progress);
     }
+    log.begin(Stage::Coarse, n_source, n_target)?;
+    let goes_on = || Ok(ControlFlow::Continue(()));
+    search_asking(prepared, config, deadline, goes_on, progress)
+}
+
+/// The same, and between these clouds without strays: before the search goes wide where there are many,
+/// else where nothing stands out after all. With the clouds of the better answer.
+pub(super) fn search_also_without_strays(
+    prepared: Prepared,
+    given: [&Cloud; 2],
+    config: &Config,
+    deadline: Deadline,
+    log: &mut StageLog<'_>,
+    progress: &Progress<'_>,
+) -> Result<(Prepared, CoarseResult)> {
+    if !may_have_strays(config) {
+        let found = search(&prepared, config, deadline, log, progress)?;
+        return Ok((prepared, found));
+    }
+    let (n_source, n_target) = (prepared.source.cloud.len(), prepared.target.cloud.len());
+    let enough = enough(config);
+    log.begin(Stage::Coarse, n_source, n_target)?;
+    let mut without = None;
+    let look_without = || {
+        if !prepared.is_strewn(progress)? {
+            return Ok(ControlFlow::Continue(()));
+        }
+        let other = search_without_strays(&prepared, given, config, deadline, log, progress)?;
+        let stands_out = matches!(&other, Some((_, found)) if found.stands_out(enough));
+        without = Some(other);
+        if stands_out {
+            return Ok(ControlFlow::Break(()));
+        }
+        log.begin(Stage::Coarse, n_source, n_target)?;
+        Ok(ControlFlow::Continue(()))
+    };
+    let found = match search_asking(&prepared, config, deadline, look_without, progress) {
+        Err(Error::NoSolution { reason }) => Err(reason),
+        found => Ok(found?),
+    };
+    let is_enough = |found: &CoarseResult| found.stands_out(enough) || found.ended_early;
+    let without = match without {
+        Some(other) => other,
+        None if found.as_ref().is_ok_and(is_enough) => None,
+        None => search_without_strays(&prepared, given, config, deadline, log, progress)?,
+    };
+    match (found, without) {
+        (Ok(found), Some(other)) if merit(&other.1) > merit(&found) => Ok(other),
+        (Ok(found), _) => Ok((prepared, found)),
+        (Err(_), Some(other)) => Ok(other),
+        (Err(reason), None) => Err(Error::NoSolution { reason }),
+    }
+}
+
+/// The search between the clouds without strays; `None` where that changes nothing, or where no start led
+/// anywhere.
+fn search_without_strays(
+    prepared: &Prepared,
+    [source, target]: [&Cloud; 2],
+    config: &Config,
+    deadline: Deadline,
+    log: &mut StageLog<'_>,
+    progress: &Progress<'_>,
+) -> Result<Option<(Prepared, CoarseResult)>> {
+    log.keep();
+    log.begin(Stage::Voxel, source.len(), target.len())?;
+    let cleaned = prepared.without_strays(source, target, config, progress)?;
+    let counted = cleaned.as_ref().unwrap_or(prepared);
+    log.end(counted.source.cloud.len(), counted.target.cloud.len());
+    let Some(cleaned) = cleaned else {
+        return Ok(None);
+    };
+    let found = match search(&cleaned, config, deadline, log, progress) {
+        Ok(found) => Some((cleaned, found)),
+        Err(Error::NoSolution { .. }) => None,
+        Err(other) => return Err(other),
+    };
+    log.keep();
+    Ok(found)
+}
+
+/// The robust search, which asks before it goes wide.
+fn search_asking(
+    prepared: &Prepared,
+    config: &Config,
+    deadline: Deadline,
+    before_wide: impl FnOnce() -> Result<ControlFlow<()>>,
+    progress: &Progress<'_>,
+) -> Result<CoarseResult> {
+    let (angle_rad, shift_m) = (SLACK_RAD, SLACK * prepared.unit_m);
+    let known = prepared.known(&config.known.loosened(angle_rad, shift_m))?;
+    let problem = Problem {
+        source: &prepared.source,
+        target: &prepared.target,
+        unit_m: prepared.unit_m,
+        freedom: config.dof,
+        known: &known,
+    };
+    coarse::search_asking(
+        &problem,
+        &config.coarse,
+        enough(config),
+        deadline,
+        config.seed,
+        before_wide,
+        progress,
+    )
 }
 
 fn keypoints(
@@ -89,12 +181,10 @@ fn keypoints(
 }
 
 /// Whether strays may be why nothing stands out: not where somebody said what a stray is.
-pub(super) fn looks_for_strays(config: &Config, found: &CoarseResult) -> bool {
+fn may_have_strays(config: &Config) -> bool {
     config.mode == Mode::Robust
         && config.dof != Freedom::Similarity
         && config.outliers.radius_m.is_none()
-        && !found.ended_early
-        && !found.stands_out(enough(config))
 }
 
 /// The scales at which the search is begun: 1, what control points say, or evenly spaced over the

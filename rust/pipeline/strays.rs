@@ -8,9 +8,10 @@
 
 use crate::cloud::{Cloud, Point, distance_sq, dot};
 use crate::error::Result;
-use crate::neighbors::{Block, Collector, NeighborIndex, WIDTH};
+use crate::neighbors::{Block, Collector, NeighborIndex, Places, WIDTH};
 use crate::normals::Symmetric;
 use crate::progress::Progress;
+use crate::surface_cloud::SurfaceCloud;
 use crate::voxel::VoxelResult;
 
 /// Points are counted within so many voxels.
@@ -44,6 +45,21 @@ pub(super) fn without_strays(
     let kept = dense.into_iter().zip(is_kept);
     let kept = kept.filter_map(|(p, is_kept)| is_kept.then_some(p));
     Ok(Cloud::from_local(voxels.cloud.origin(), kept.collect()))
+}
+
+/// How many voxels of a cloud lie off the surface that most of what stands round them lies on, of one, by a
+/// sample.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`].
+pub(super) fn share_of_strays(cloud: &SurfaceCloud, progress: &Progress<'_>) -> Result<f64> {
+    const N_ASKED: usize = 2000;
+    let places = Places::new(cloud.sample(N_ASKED));
+    let is_kept = cloud
+        .index
+        .map_k_nearest(&places, N_NEAR, progress, is_on_surface)?;
+    let n_strays = is_kept.iter().filter(|is_kept| !**is_kept).count();
+    Ok(n_strays as f64 / is_kept.len().max(1) as f64)
 }
 
 /// The voxels round which many points stand.
