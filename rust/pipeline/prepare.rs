@@ -69,16 +69,16 @@ impl Prepared {
         )
     }
 
-    /// Whether many voxels of either cloud are those of strays.
+    /// Whether many voxels of both clouds are those of strays.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`].
     pub(super) fn is_strewn(&self, progress: &Progress<'_>) -> Result<bool> {
-        /// Of a cloud whose points are strays by 30 %, more than a third of all voxels are.
-        const MANY: f64 = 0.2;
+        /// Where 30 % of the points are strays, a quarter to a half of all voxels are.
+        const MANY: f64 = 0.25;
         let share = |of: &Witnesses| share_of_strays(&of.cloud, progress);
         let (of_source, of_target) = parallel::both(|| share(&self.source), || share(&self.target));
-        Ok(of_source?.max(of_target?) > MANY)
+        Ok((of_source? + of_target?) / 2.0 > MANY)
     }
 
     /// The same without the voxels of strays; `None` where hardly any would go, or hardly any stay.
