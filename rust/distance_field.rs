@@ -84,13 +84,19 @@ impl NearestGrid {
     /// from `query` itself to that point. Queries outside the grid ask the border cell.
     #[inline]
     pub fn nearest(&self, query: &Point) -> (usize, f64) {
+        let index = self.index_of_nearest(query) as usize;
+        (index, distance_sq(query, &self.points[index]))
+    }
+
+    /// The same without the distance.
+    #[inline]
+    pub(crate) fn index_of_nearest(&self, query: &Point) -> u32 {
         let cell: [usize; 3] = std::array::from_fn(|axis| {
             // The cast saturates: negative and NaN become 0.
             let i = ((query[axis] - self.low[axis]) * self.cells_per_m) as usize;
             i.min(self.size[axis] - 1)
         });
-        let index = self.nearest[self.at(cell)] as usize;
-        (index, distance_sq(query, &self.points[index]))
+        self.nearest[self.at(cell)]
     }
 
     /// Whether `query` lies in the box of the grid.

@@ -1,6 +1,6 @@
 //! From a start into the nearest basin: truncated ICP steps on grids that know nearest points.
 
-use crate::cloud::Point;
+use crate::cloud::{Point, distance_sq};
 use crate::distance_field::NearestGrid;
 use crate::freedom::Freedom;
 use crate::kabsch::PairSums;
@@ -37,6 +37,9 @@ impl Shrinking {
     }
 }
 
+/// Points that are looked up together.
+const TOGETHER: usize = 64;
+
 /// Point-to-point steps without a scale: pairs farther apart than the truncation do not pull.
 pub(super) fn to_points(
     points: &[Point],
@@ -49,10 +52,17 @@ pub(super) fn to_points(
     for step in 0..truncation.n_steps {
         let max_sq = truncation.at(step).powi(2);
         let mut sums = PairSums::default();
-        for p in points {
-            let (partner, distance_sq) = grid.nearest(&pose.apply(p));
-            if distance_sq < max_sq {
-                sums.add(p, &grid.points()[partner], 1.0);
+        for points in points.chunks(TOGETHER) {
+            // First every cell, then every partner, and no branch: so many wait for memory at once.
+            let mut found = [([0.0; 3], 0); TOGETHER];
+            for (p, found) in points.iter().zip(&mut found) {
+                let moved = pose.apply(p);
+                *found = (moved, grid.index_of_nearest(&moved));
+            }
+            for (p, (moved, partner)) in points.iter().zip(&found) {
+                let partner = &grid.points()[*partner as usize];
+                let is_near = distance_sq(moved, partner) < max_sq;
+                sums.add(p, partner, f64::from(u8::from(is_near)));
             }
         }
         let better = match freedom {
