@@ -244,12 +244,29 @@ def summary(outcome: Outcome) -> str:
     lines += ["written:", *(f"  {path}" for path in outcome.files)]
     if outcome.registration.verdict == "review":
         lines.append(
-            "A person must look at fused.laz before anyone relies on it: the pose is probably right, but "
-            "not surely."
+            "A person must look at fused.laz before anyone relies on it: the pose may be right, but the "
+            "data alone do not make it sure."
         )
     if outcome.registration.verdict == "rejected":
         lines.append("The clouds were not fused, because this pose must not be used.")
+    if outcome.registration.verdict != "accepted":
+        ways = _ways_to_settle(outcome.registration.config)
+        lines += [f"What may settle it: {', or '.join(ways)}."] if ways else []
     return "\n".join(lines)
+
+
+def _ways_to_settle(config: Mapping[str, Any]) -> list[str]:
+    """Return what somebody could add to what was said of the pose."""
+    if config["mode"] == "paper":
+        return ["--mode robust, which compares the pose with others"]
+    ways = []
+    if config["dof"] != 4:
+        ways.append("--dof 4 if z is up in both files")
+    if not config["known"]["prior"]:
+        ways.append("--prior with a rough pose")
+    if not config["known"]["control_points"]:
+        ways.append("--control-points measured in both clouds")
+    return ways
 
 
 def _settings(options: Mapping[str, Any]) -> Config:

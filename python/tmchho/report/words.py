@@ -14,7 +14,7 @@ VERDICTS = {
     ),
     "review": (
         "A person must look before the result is used.",
-        "The position is probably right, but something that would make it sure is missing.",
+        "The position may be right, but something that would make it sure is missing.",
     ),
     "rejected": (
         "The result must not be used.",

@@ -63,3 +63,13 @@ def test_a_pose_to_review_is_written_and_says_so(files: tuple[Path, Path], tmp_p
     assert result.exit_code == 4
     assert names_in(tmp_path / "out") == sorted(OUTPUTS)
     assert "A person must look" in result.stdout
+    assert "What may settle it: --dof 4 if z is up in both files, or --prior with" in result.stdout
+
+
+def test_what_was_given_already_is_not_proposed(files: tuple[Path, Path], tmp_path: Path) -> None:
+    config = tmp_path / "strict.toml"
+    config.write_text("[verdict]\naccept_ambiguity_ratio = 1e6\n")
+    result = run("register", *files, "-o", tmp_path / "out", "--config", config, "--dof", "4")
+    assert result.exit_code == 4
+    assert "What may settle it: --prior" in result.stdout
+    assert "--dof" not in result.stdout
