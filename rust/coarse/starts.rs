@@ -229,6 +229,38 @@ mod tests {
     }
 
     #[test]
+    fn a_pose_is_turned_every_way_and_stays_about_where_it_is() {
+        let pose = Rigid::from_euler([0.3, -1.0, 2.0], [40.0, -7.0, 3.0]);
+        let starts = Starts::turned(&pose, 2.0, Freedom::Rigid, 1);
+        let starts: Vec<Rigid> = (0..starts.len()).map(|i| starts.pose(i)).collect();
+        let mut stream = Stream::new(1, "test", 0);
+        for _ in 0..50 {
+            let turn = random_rotation(&mut stream)
+                .to_rotation_matrix()
+                .into_inner();
+            let cosine = |start: &Rigid| {
+                let off = (turn * pose.rotation).transpose() * start.rotation;
+                (off.trace() - 1.0) / 2.0
+            };
+            let nearest = starts.iter().map(cosine).fold(-1.0, f64::max);
+            assert!(nearest > 60_f64.to_radians().cos(), "{nearest}");
+        }
+        let shifts = starts
+            .iter()
+            .map(|s| (s.translation - pose.translation).norm());
+        let (n_moved, furthest) = shifts.fold((0, 0.0_f64), |(n, furthest), shift| {
+            (n + usize::from(shift > 0.1), furthest.max(shift))
+        });
+        assert!(n_moved > 200 && furthest < 1.5, "{n_moved} {furthest}");
+        let levelled = Starts::turned(&pose, 2.0, Freedom::Levelled, 1);
+        let upright = (0..levelled.len()).all(|i| {
+            let turn = levelled.pose(i).rotation * pose.rotation.transpose();
+            (turn[(2, 2)] - 1.0).abs() < 1e-12
+        });
+        assert!(upright);
+    }
+
+    #[test]
     fn a_large_cloud_has_many_places_and_a_small_one_few() {
         let square = |side: f64| -> Vec<Point> {
             let n = 60;

@@ -222,6 +222,12 @@ mod tests {
         let cloud = Cloud::named("cloud", &points).unwrap();
         let voxels = downsample(&cloud, 0.5, &Progress::silent()).unwrap();
         let cleaned = without_strays(&voxels, 0.5, &Progress::silent()).unwrap();
+        let share = |of: &Cloud| {
+            let surfaces = SurfaceCloud::new(of, 0, &Progress::silent()).unwrap();
+            share_of_strays(&surfaces, &Progress::silent()).unwrap()
+        };
+        let hill = Cloud::named("hill", &points[..3600]).unwrap();
+        assert!((0.25..0.4).contains(&share(&cloud)) && share(&hill) < 0.01);
         let count = |cloud: &Cloud, low: f64, high: f64| {
             let off = |p: &Point| (p[2] - height(p[0], p[1])).abs();
             let points = cloud.to_given_coordinates();
