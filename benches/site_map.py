@@ -1,12 +1,15 @@
 """Where the registration of the simulated dam site succeeds: a map over area, overlap, density and noise.
 
     python benches/site_map.py [--starts 2] [--areas 1 4 16] [--overlaps 0.8 0.6 0.4 0.3]
-        [--densities 1 10 50] [--noises 0.04 1] [--outliers 0.01 0.3] [--json runs.jsonl]
+        [--densities 1 10 50] [--noises 0.04 1] [--outliers 0.01 0.3] [--dof 6] [--levelled]
+        [--json runs.jsonl]
 
 A cell of the map is a product of an area (photogrammetry by scanner, the scanner off centre), an overlap
 (of the scanner's area, the smaller one), a density ratio (scanner by photogrammetry), noise of the
 photogrammetry (as a share of the voxel edge, on level ground; steep faces have up to two and a half times as
-much) and a share of outliers (in both clouds). Start i of a cell makes site, surveys and pose from seed i.
+much) and a share of outliers (in both clouds). Start i of a cell makes site, surveys and pose from seed i;
+with --levelled, and always with --dof 4, both clouds are levelled and the source is turned about the vertical
+only.
 The error is the root mean squared displacement of the scanner's points, which every pose has to bring to
 their place. "Near" is within 2° and 1 % of the scanner's diagonal, "close" within a third of the voxel edge.
 The table goes to standard output as Markdown. With --json every run is kept as a line of JSON, and a second
@@ -30,6 +33,7 @@ from common import (
     angle_deg,
     diagonal_of,
     moved,
+    pose_away,
     run_all,
     verdict_counts,
 )
@@ -52,6 +56,8 @@ class Case:
     density: float
     noise: float
     outliers: float
+    dof: int
+    levelled: bool
     seed: int
 
 
@@ -73,10 +79,16 @@ def survey(case: Case) -> SimulatedPair:
 
 def run_once(case: Case, n_threads: int | None) -> dict[str, Any]:
     pair = survey(case)
-    found = tmchho.register(pair.source, pair.target, seed=case.seed, config={"n_threads": n_threads})
+    source, target, truth = pair.source.xyz, pair.target.xyz, pair.target_from_source
+    if case.levelled:
+        upright = np.eye(4)
+        upright[:3, :3] = truth[:3, :3]
+        away = pose_away(case.seed, diagonal_of(target), dof=4) @ upright
+        source, truth = moved(away, source), truth @ np.linalg.inv(away)
+    config = {"n_threads": n_threads, "dof": case.dof}
+    found = tmchho.register(source, target, seed=case.seed, config=config)
     # Where the scanner's points come to lie, seen from where they belong.
-    target = pair.target.xyz
-    difference = found.transformation @ np.linalg.inv(pair.target_from_source)
+    difference = found.transformation @ np.linalg.inv(truth)
     error_m = float(np.sqrt(np.mean(np.sum((moved(difference, target) - target) ** 2, axis=1))))
     is_near = angle_deg(
         difference[:3, :3]
@@ -93,6 +105,7 @@ def run_once(case: Case, n_threads: int | None) -> dict[str, Any]:
         "share": found.inlier_share,
         "ratio": found.ambiguity_ratio,
         "strength": found.strength,
+        "conflict": found.conflict_share,
         "seconds": found.seconds,
         "reasons": list(found.reasons),
     }
@@ -104,7 +117,7 @@ def row(cell: tuple[float, ...], records: list[dict[str, Any]]) -> str:
     n_close = sum(record["is_close"] for record in records)
     seconds = [record["seconds"] for record in records]
     error = np.median([record["error_m"] / record["voxel_m"] for record in near]) if near else float("nan")
-    area, overlap, density, noise, outliers = cell
+    area, overlap, density, noise, outliers, *_ = cell
     shared = np.mean([record["overlap_of_points"] for record in records])
     return (
         f"| {area:g} | {overlap:.0%} ({shared:.0%}) | 1:{density:g} | {noise:g} | {outliers:.0%} "
@@ -123,12 +136,17 @@ def main() -> int:
     )
     parser.add_argument("--noises", type=float, nargs="+", default=[0.04, 1.0], help="of the voxel edge")
     parser.add_argument("--outliers", type=float, nargs="+", default=[0.01, 0.3], help="share, 0 to 0.5")
+    parser.add_argument("--dof", type=int, choices=[4, 6], default=6, help="degrees of freedom")
+    parser.add_argument(
+        "--levelled", action="store_true", help="as surveys are, with 6 degrees of freedom too"
+    )
     parser.add_argument("--processes", type=int, default=1, help="runs at a time (default 1)")
     parser.add_argument("--threads", type=int, help="threads of each run (default: all)")
     parser.add_argument("--json", type=Path, help="JSON lines to keep the runs in, and to resume from")
     options = parser.parse_args()
-    cells = product(options.areas, options.overlaps, options.densities, options.noises, options.outliers)
-    cases = [Case(*cell, seed=seed) for cell in cells for seed in range(options.starts)]
+    axes = (options.areas, options.overlaps, options.densities, options.noises, options.outliers)
+    frames = (options.dof, options.levelled or options.dof == 4)
+    cases = [Case(*cell, *frames, seed) for cell in product(*axes) for seed in range(options.starts)]
     by_cell: dict[tuple[float, ...], list[dict[str, Any]]] = {astuple(case)[:-1]: [] for case in cases}
     job = partial(run_once, n_threads=options.threads)
     for record in run_all(job, cases, astuple, options.json, options.processes):
