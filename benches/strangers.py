@@ -19,6 +19,7 @@ Maker = Callable[[Generator], tuple[Array, Array, bool]]
 
 N_POINTS = 9000
 NOISE = 0.004
+SITE_NOISE_M = 0.5
 MIRROR = np.array([1.0, 1.0, -1.0])
 
 
@@ -309,6 +310,24 @@ def sites_without_overlap(rng: Generator) -> tuple[Array, Array, bool]:
     return flown[flown[:, 0] < scanned[:, 0].min() - 2.0], scanned, False
 
 
+def noisy_other_sites(rng: Generator) -> tuple[Array, Array, bool]:
+    return flown_roughly(other_sites, rng)
+
+
+def noisy_mirrored_sites(rng: Generator) -> tuple[Array, Array, bool]:
+    return flown_roughly(mirrored_sites, rng)
+
+
+def noisy_sites_without_overlap(rng: Generator) -> tuple[Array, Array, bool]:
+    return flown_roughly(sites_without_overlap, rng)
+
+
+def flown_roughly(maker: Maker, rng: Generator) -> tuple[Array, Array, bool]:
+    """Make the photogrammetry noisy by about a voxel: then surfaces no longer show that they lie apart."""
+    flown, scanned, is_true = maker(rng)
+    return noisy(flown, rng, SITE_NOISE_M), scanned, is_true
+
+
 # How many variants of each are run.
 MAKERS: dict[Maker, int] = {
     planes: 4,
@@ -334,4 +353,7 @@ MAKERS: dict[Maker, int] = {
     mirrored_sites: 6,
     sites_without_overlap: 4,
     other_sites: 6,
+    noisy_other_sites: 6,
+    noisy_mirrored_sites: 6,
+    noisy_sites_without_overlap: 4,
 }
