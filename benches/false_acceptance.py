@@ -140,6 +140,7 @@ def run_once(case: Case) -> dict[str, Any]:
         "share": found.inlier_share,
         "ratio": found.ambiguity_ratio,
         "strength": found.strength,
+        "conflict": found.conflict_share,
         "overlap": [found.overlap_of_source, found.overlap_of_target],
         "rotation_deg": rotation_deg,
         "translation": translation,

@@ -194,6 +194,7 @@ fn stages(criterion: &mut Criterion) {
                 ambiguity_ratio: 0.0,
                 share_times_ratio: 0.0,
                 misfit: f64::INFINITY,
+                conflict_share: 1.0,
             };
             let found = search_robust(&problem, &options, enough, Deadline::default(), 0, &silent);
             black_box(found.is_ok());

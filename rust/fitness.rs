@@ -7,11 +7,15 @@
 //! region is unknown before registration; the symmetric share is ours.
 //! Absent on purpose: any search.
 
+mod conflicts;
+mod finder;
 mod witnesses;
+
+pub(crate) use conflicts::lies_off;
+use conflicts::n_conflicts;
 
 use crate::cloud::{Point, distance_sq};
 use crate::error::Result;
-use crate::near_field::NearField;
 use crate::neighbors::{Neighbor, NeighborIndex};
 use crate::parallel;
 use crate::point_to_plane::PlaneSums;
@@ -20,6 +24,7 @@ use crate::rigid::Rigid;
 use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
 
+pub use finder::{FindsPartner, Grids};
 pub use witnesses::Witnesses;
 
 /// The RMS of Eq. (1): root mean squared distance from the moved source points to their nearest
@@ -72,14 +77,31 @@ pub struct Agreement {
     /// 0.2 to 1.1 where both show the same place, more where they only resemble each other; NaN where
     /// too few witnesses find a partner.
     pub misfit: f64,
+    /// What the witnesses that lie above or below the other cloud's surface, not beside it, stand for, by
+    /// these and those with a partner, 0 to 1. At the right pose it is what one sensor saw through, behind
+    /// or since the other; at a wrong one surfaces cross each other. 0 where there are neither.
+    pub conflict_share: f64,
 }
 
 impl Agreement {
-    /// What poses of one pair of clouds are ranked by: the weighted share, divided by the misfit where
-    /// that is above 1.
+    /// What poses of one pair of clouds are ranked by: the weighted share, less what conflicts with it,
+    /// divided by the misfit where that is above 1.
     pub fn score(&self) -> f64 {
         // The larger of 1 and NaN is 1.
-        self.weighted_share / self.misfit.max(1.0)
+        self.weighted_share * self.concord() / self.misfit.max(1.0)
+    }
+
+    /// What conflicts leave of a share: 1 where there are none. A conflict weighs as much as several pairs:
+    /// where two surfaces cross, few points conflict and many find a partner. Not too many: two scanners that
+    /// see a wall from both sides also conflict.
+    pub fn concord(&self) -> f64 {
+        const WEIGHT: i32 = 4;
+        (1.0 - self.conflict_share).powi(WEIGHT)
+    }
+
+    /// The share of inliers, less what conflicts with it.
+    pub fn net_share(&self) -> f64 {
+        self.inlier_share * self.concord()
     }
 }
 
@@ -103,27 +125,6 @@ impl Tolerance {
     }
 }
 
-/// Who finds partners: the index of a cloud exactly, its near field about twenty times faster.
-pub trait FindsPartner {
-    /// A point of the cloud at most `max_sq` from `place`, squared; a near one, if not the nearest.
-    fn partner(&self, place: &Point, max_sq: f64) -> Option<usize>;
-}
-
-impl FindsPartner for NeighborIndex {
-    #[inline]
-    fn partner(&self, place: &Point, max_sq: f64) -> Option<usize> {
-        Some(self.nearest_within(place, max_sq)?.index as usize)
-    }
-}
-
-impl FindsPartner for NearField {
-    #[inline]
-    fn partner(&self, place: &Point, max_sq: f64) -> Option<usize> {
-        let (partner, distance_sq) = self.nearest(place)?;
-        (distance_sq <= max_sq).then_some(partner)
-    }
-}
-
 /// Counts partners at `pose` (fixed from moving).
 pub fn agreement<P: FindsPartner + Sync>(
     moving: (&Witnesses, &P),
@@ -141,6 +142,7 @@ pub fn agreement<P: FindsPartner + Sync>(
                 let theirs = fixed.0.cloud.surfaces[pair.to].roughness_m;
                 apart.add(pair.off_plane, own.hypot(theirs));
             });
+            count.n_conflicts = n_conflicts(moving.0, fixed, pose, tolerance.distance_m);
             let misfit = apart.ratio(LEAST_ROUGHNESS * tolerance.distance_m);
             (count, misfit)
         },
@@ -149,6 +151,7 @@ pub fn agreement<P: FindsPartner + Sync>(
             each_partner(fixed.0, moving, &inverse, tolerance, |pair| {
                 count.add(pair.weight);
             });
+            count.n_conflicts = n_conflicts(fixed.0, moving, &inverse, tolerance.distance_m);
             count
         },
     );
@@ -158,11 +161,16 @@ pub fn agreement<P: FindsPartner + Sync>(
     } else {
         fixed
     };
-    let by_size = |of_moving: f64, of_fixed: f64, of_smaller: f64| {
-        let part = of_moving * moving.size_of_each() + of_fixed * fixed.size_of_each();
-        let whole = 2.0 * of_smaller * smaller.size_of_each();
-        if whole > 0.0 { part / whole } else { 0.0 }
+    let sum = |of_moving: f64, of_fixed: f64| {
+        of_moving * moving.size_of_each() + of_fixed * fixed.size_of_each()
     };
+    let by = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
+    let by_size = |of_moving: f64, of_fixed: f64, of_smaller: f64| {
+        let whole = 2.0 * of_smaller * smaller.size_of_each();
+        by(sum(of_moving, of_fixed), whole)
+    };
+    let inliers = sum(forth.n_inliers, back.n_inliers);
+    let conflicts = sum(forth.n_conflicts, back.n_conflicts);
     Agreement {
         inlier_share: by_size(forth.n_inliers, back.n_inliers, smaller.len() as f64),
         weighted_share: by_size(
@@ -171,6 +179,7 @@ pub fn agreement<P: FindsPartner + Sync>(
             smaller.total_weight(),
         ),
         misfit,
+        conflict_share: by(conflicts, conflicts + inliers),
     }
 }
 
@@ -231,6 +240,7 @@ pub fn off_plane_noise_m<P: FindsPartner>(
 struct Count {
     n_inliers: f64,
     inlier_weight: f64,
+    n_conflicts: f64,
 }
 
 impl Count {
@@ -341,6 +351,8 @@ pub fn support(
 mod tests {
     use super::*;
     use crate::cloud::Cloud;
+    use crate::distance_field::NearestGrid;
+    use crate::near_field::NearField;
     use crate::progress::Progress;
     use crate::random::Stream;
 
@@ -418,6 +430,32 @@ mod tests {
         assert!((forth.weighted_share - back.weighted_share).abs() < 1e-12);
     }
 
+    #[test]
+    fn surfaces_that_cross_conflict_and_those_that_end_do_not() {
+        let whole = bumpy(4000, 5);
+        let part = |low: f64, high: f64| -> SurfaceCloud {
+            let within = |p: &&Point| (low..high).contains(&p[0]);
+            surfaces(&whole.iter().filter(within).copied().collect::<Vec<_>>())
+        };
+        // Two thirds each, a third in common.
+        let (left, right) = (part(0.0, 0.66), part(0.33, 1.0));
+        let as_given = Rigid::identity().between_local_coordinates(left.origin, right.origin);
+        let [a, b] = witnesses([left, right], 3000, 0.1, 0.016);
+        let tolerance = Tolerance::within(0.02);
+        let here = agree(&a, &b, &as_given, tolerance);
+        assert!(
+            here.inlier_share > 0.4 && here.conflict_share < 0.02,
+            "{here:?}"
+        );
+        let tilted = Rigid::from_euler([0.0, 0.2, 0.0], [0.0; 3]) * as_given;
+        let there = agree(&a, &b, &tilted, tolerance);
+        assert!(there.conflict_share > 0.2, "{there:?}");
+        assert!(there.score() < 0.2 * there.weighted_share);
+        // The share is of both clouds, whichever is said to move.
+        let back = agree(&b, &a, &tilted.inverse(), tolerance);
+        assert!((back.conflict_share - there.conflict_share).abs() < 1e-12);
+    }
+
     fn floor(lift: f64, seed: u64) -> SurfaceCloud {
         let mut stream = Stream::new(seed, "floor", 0);
         let points: Vec<Point> = (0..4000)
@@ -469,19 +507,28 @@ mod tests {
     }
 
     #[test]
-    fn the_near_field_counts_like_the_index() {
+    fn the_grids_count_like_the_index() {
         let (low, high) = (floor(0.0, 1), floor(0.0, 2));
         let pose = Rigid::identity().between_local_coordinates(high.origin, low.origin);
         let [a, b] = witnesses([high, low], 4000, 0.05, 0.016);
         let field = |w: &Witnesses| NearField::new(w.cloud.points(), 0.008, 0.04, 100_000).unwrap();
+        let grid =
+            |w: &Witnesses| NearestGrid::new(w.cloud.points(), 0.02, 0.3, 1_000_000).unwrap();
         let (near_a, near_b) = (field(&a), field(&b));
+        let (far_a, far_b) = (grid(&a), grid(&b));
+        let grids = |fine, coarse| Grids { fine, coarse };
+        let (grids_a, grids_b) = (grids(&near_a, &far_a), grids(&near_b, &far_b));
         let tolerance = Tolerance::within(0.04);
         for shift in [0.0, 0.01, 0.1] {
             let moved = Rigid::from_euler([0.0; 3], [shift, 0.0, shift]) * pose;
             let exact = agree(&a, &b, &moved, tolerance);
-            let quick = agreement((&a, &near_a), (&b, &near_b), &moved.into(), tolerance);
+            let quick = agreement((&a, &grids_a), (&b, &grids_b), &moved.into(), tolerance);
             let off = (exact.inlier_share - quick.inlier_share).abs();
-            assert!(off < 0.03, "{shift}: {exact:?} {quick:?}");
+            let conflicts_off = (exact.conflict_share - quick.conflict_share).abs();
+            assert!(
+                off < 0.03 && conflicts_off < 0.03,
+                "{shift}: {exact:?} {quick:?}"
+            );
         }
     }
 
@@ -539,6 +586,9 @@ mod tests {
             here.inlier_share < 0.7 * there.inlier_share,
             "{here:?} {there:?}"
         );
-        assert!(here.score() > 1.2 * there.score(), "{here:?} {there:?}");
+        assert!(
+            here.weighted_share > 1.2 * there.weighted_share,
+            "{here:?} {there:?}"
+        );
     }
 }

@@ -36,7 +36,7 @@ pub const VOXELS_PER_EXTENT: f64 = 250.0;
 /// good pose to another the score may change by a hundredth.
 const LEAST_KEPT: f64 = 0.97;
 /// A pose that leads its rivals by more is not doubted: whether the source is mirrored is not tried.
-const CLEAR_AMBIGUITY_RATIO: f64 = 3.0;
+const CLEAR_AMBIGUITY_RATIO: f64 = 5.0;
 /// A partner within so many voxels supports the pose, where no distance is asked for.
 pub const SUPPORT_IN_VOXELS: f64 = 2.5;
 
@@ -254,6 +254,8 @@ fn route(
             lead_over_chance,
             held_out_ratio: held_out,
             misfit: agreed.misfit,
+            conflict_share: agreed.conflict_share,
+            net_share: agreed.net_share(),
             deviation_from_known: match known.n_observed() {
                 0 => f64::NAN,
                 n => (known.chi_squared(&pose) / n as f64).sqrt(),
@@ -313,6 +315,8 @@ fn route(
         lead_over_chance,
         held_out_ratio: held_out,
         misfit: agreed.misfit,
+        conflict_share: agreed.conflict_share,
+        net_share: agreed.net_share(),
         ended_early: found.ended_early,
         uncertainty,
         n_evaluations: found.n_evaluations,

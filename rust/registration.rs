@@ -69,6 +69,10 @@ pub struct Registration {
     /// How far the surfaces lie apart, by how rough they are themselves; NaN where there are too few
     /// pairs.
     pub misfit: f64,
+    /// Surface of both clouds that lies above or below the other's, by that and what has a partner.
+    pub conflict_share: f64,
+    /// The share of inliers, less what conflicts with it.
+    pub net_share: f64,
     /// Whether the time was up before the search was done.
     pub ended_early: bool,
     /// How accurate the pose is, about a place relative to the target's pivot; `None` where the pairs

@@ -217,7 +217,8 @@ class VerdictOptions:
     accept_ambiguity_ratio, reject_ambiguity_ratio : float, optional
         Score of the best pose by that of its best rival, at least 1.
     accept_share_times_ratio : float, optional
-        Accept only where the product of both is above this, at least 0.
+        Accept only where that ratio times the net share, that of inliers less what conflicts with it, is
+        above this, at least 0.
     accept_strength : float, optional
         Accept only where the weakest direction is held by this share, 0 to 1.
     accept_lead_over_chance : float, optional
@@ -228,6 +229,9 @@ class VerdictOptions:
     accept_misfit : float, optional
         Accept only where the surfaces lie at most so many times as far apart as they are rough themselves,
         above 0.
+    accept_conflict_share : float, optional
+        Accept only where at most this share of what lies near the other cloud lies above or below its
+        surface, 0 to 1.
     accept_deviation_from_known : float, optional
         Accept only up to so many standard deviations from the prior and the control points, above 0.
     """
@@ -239,6 +243,7 @@ class VerdictOptions:
     accept_lead_over_chance: float | None = None
     accept_held_out_ratio: float | None = None
     accept_misfit: float | None = None
+    accept_conflict_share: float | None = None
     accept_deviation_from_known: float | None = None
     reject_inlier_share: float | None = None
     reject_ambiguity_ratio: float | None = None

@@ -171,6 +171,12 @@ class Registration(ReadOnlyArrays):
     misfit : float
         How far the surfaces lie apart, by how rough they are themselves: below 1 for one surface measured
         twice, larger for places that resemble each other. NaN where there are too few pairs.
+    conflict_share : float
+        Surface of both clouds that lies above or below the other's, not beside it, by that and what has a
+        partner, 0 to 1: near 0 at the right pose, more where surfaces cross, or where one sensor saw through
+        or behind what the other saw.
+    net_share : float
+        The share of inliers, less what conflicts with it: times (1 - `conflict_share`)⁴.
     registration_error : float or None
         The 1σ displacement of a point by the errors of the pose, in the unit of the target: in all directions
         together, root mean square over the overlap. It is the term "reg" of the level of detection of M3C2,
@@ -250,6 +256,8 @@ class Registration(ReadOnlyArrays):
     lead_over_chance: float
     held_out_ratio: float
     misfit: float
+    conflict_share: float
+    net_share: float
     registration_error: float | None
     scale_standard_error: float | None
     covariance: NDArray[np.float64] | None
@@ -358,6 +366,7 @@ class Registration(ReadOnlyArrays):
         accuracy = "not known" if error is None else f"{error:.2g} ({accuracy})"
         misfit = f"the surfaces lie {self.misfit:.2f} times as far apart as they are rough themselves"
         misfit = "not known" if math.isnan(self.misfit) else misfit
+        conflict = f"{self.conflict_share:.1%} of the surface near the other cloud lies above or below it"
         lines += [
             f"accuracy   {accuracy}",
             f"overlap    {self.overlap_of_source:.1%} of the source, {self.overlap_of_target:.1%} of the"
@@ -365,6 +374,7 @@ class Registration(ReadOnlyArrays):
             f"fit        {self.inlier_rmse:.4g} RMS of {self.n_inliers:,} of {n_voxels:,} voxels"
             f" of edge {self.voxel_size:.4g}",
             f"misfit     {misfit}",
+            f"conflict   {conflict}",
             f"held       {self.strength:.3f} in the weakest direction, {self.weakest_direction}",
             f"distances  source to target: median {forth.median:.4g}, 95 % below"
             f" {forth.percentile_95:.4g};"

@@ -6,6 +6,7 @@ use crate::cloud::Point;
 use crate::deadline::Deadline;
 use crate::distance_field::NearestGrid;
 use crate::error::Result;
+use crate::fitness::lies_off;
 use crate::freedom::Freedom;
 use crate::parallel;
 use crate::progress::Progress;
@@ -19,8 +20,6 @@ const MAX_CELLS: usize = 2_000_000;
 /// Points of the moving cloud that take part in the first descent and in the second.
 const N_FIRST: usize = 64;
 const N_SECOND: usize = 256;
-/// Poses that go on to the second descent.
-const N_SHORTLIST: usize = 300;
 
 const FIRST: Shrinking = Shrinking {
     first: 0.2,
@@ -36,20 +35,48 @@ const SECOND: Shrinking = Shrinking {
 /// Truncation of the cost that ranks the first descents, and the second ones.
 const FIRST_TRUNCATION: f64 = 0.04;
 const SECOND_TRUNCATION: f64 = 0.02;
+/// Where a point lies above or below the other surface so far off after the second descent, it costs as much as
+/// so many without a partner.
+const CONFLICT: [f64; 2] = [0.03, 0.08];
+const CONFLICT_COST: f64 = 4.0;
 
 /// Poses closer than this to a better one are the same basin.
 const SAME_BASIN_RAD: f64 = 8.0 * std::f64::consts::PI / 180.0;
 const SAME_BASIN: f64 = 0.03;
+
+/// How starts run down.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Descents {
+    /// What the steps may change.
+    pub(super) freedom: Freedom,
+    /// Poses that go on to the second descent.
+    n_shortlist: usize,
+}
+
+impl Descents {
+    pub(super) fn of_few(freedom: Freedom) -> Self {
+        Self {
+            freedom,
+            n_shortlist: 300,
+        }
+    }
+
+    pub(super) fn of_many(freedom: Freedom) -> Self {
+        Self {
+            freedom,
+            n_shortlist: 1000,
+        }
+    }
+}
 
 /// Runs starts down into their basins.
 #[derive(Debug)]
 pub(super) struct Explorer<'a> {
     moving: &'a SurfaceCloud,
     fixed: &'a SurfaceCloud,
-    moving_grid: NearestGrid,
+    pub(super) moving_grid: NearestGrid,
     pub(super) fixed_grid: NearestGrid,
     unit_m: f64,
-    freedom: Freedom,
 }
 
 impl<'a> Explorer<'a> {
@@ -57,7 +84,6 @@ impl<'a> Explorer<'a> {
         moving: &'a SurfaceCloud,
         fixed: &'a SurfaceCloud,
         unit_m: f64,
-        freedom: Freedom,
     ) -> Result<Self> {
         let grid = |cloud: &SurfaceCloud| {
             let (cell_m, margin_m) = (CELL * unit_m, GRID_MARGIN * unit_m);
@@ -70,7 +96,6 @@ impl<'a> Explorer<'a> {
             moving_grid: moving_grid?,
             fixed_grid: fixed_grid?,
             unit_m,
-            freedom,
         })
     }
 
@@ -80,10 +105,11 @@ impl<'a> Explorer<'a> {
         &self,
         n_starts: usize,
         start: impl Fn(usize) -> Rigid + Sync + Send,
+        descents: Descents,
         deadline: Deadline,
         progress: &Progress<'_>,
     ) -> Result<(Vec<Rigid>, usize)> {
-        let (unit_m, freedom, grid) = (self.unit_m, self.freedom, &self.fixed_grid);
+        let (unit_m, freedom, grid) = (self.unit_m, descents.freedom, &self.fixed_grid);
         let points = self.moving.points();
         let n_first = N_FIRST.min(points.len());
         let n_samples = points.len() / n_first;
@@ -96,7 +122,7 @@ impl<'a> Explorer<'a> {
                 Scored { cost, pose }
             })
         })?;
-        let shortlist = distinct(first, N_SHORTLIST, SAME_BASIN * unit_m);
+        let shortlist = distinct(first, descents.n_shortlist, SAME_BASIN * unit_m);
         // Both clouds at the density at which the second sample shows the moving one.
         let some_moving = self.moving.sample(N_SECOND);
         let share = some_moving.len() as f64 / self.moving.len() as f64;
@@ -107,9 +133,8 @@ impl<'a> Explorer<'a> {
             (!deadline.is_over()).then(|| {
                 let (start, truncation) = (shortlist[i].pose, SECOND.times(unit_m));
                 let pose = descent::to_points(some_moving, grid, start, freedom, truncation);
-                let max_m = SECOND_TRUNCATION * unit_m;
-                let forth = descent::truncated_cost(some_moving, grid, &pose, max_m);
-                let back = self.missed_share(some_fixed, &pose, some_moving.len());
+                let forth = 1.0 - self.found_share(some_moving, &pose, some_moving.len());
+                let back = 1.0 - self.found_share_back(some_fixed, &pose, some_moving.len());
                 Scored {
                     cost: forth + back,
                     pose,
@@ -122,19 +147,43 @@ impl<'a> Explorer<'a> {
         Ok((basins.into_iter().map(|s| s.pose).collect(), n_evaluations))
     }
 
-    /// The way back of the symmetric cost: how much of the moving cloud's size in fixed points
-    /// finds no partner. A fixed cloud larger than the moving one is not blamed for the rest.
-    fn missed_share(&self, fixed: &[Point], pose: &Rigid, n_moving: usize) -> f64 {
+    /// How much of the moving cloud's size in its own points finds a partner, less what conflicts.
+    fn found_share(&self, moving: &[Point], pose: &Rigid, n_moving: usize) -> f64 {
+        let places = moving.iter().map(|p| pose.apply(p));
+        self.found(places, &self.fixed_grid, self.fixed) / n_moving as f64
+    }
+
+    /// The same in fixed points. A fixed cloud larger than the moving one is not blamed for the rest.
+    fn found_share_back(&self, fixed: &[Point], pose: &Rigid, n_moving: usize) -> f64 {
         let back = pose.inverse();
+        let places = fixed.iter().map(|p| back.apply(p));
+        let covered = places.filter(|p| self.moving_grid.covers(p));
+        self.found(covered, &self.moving_grid, self.moving) / n_moving as f64
+    }
+
+    fn found(
+        &self,
+        places: impl Iterator<Item = Point>,
+        grid: &NearestGrid,
+        cloud: &SurfaceCloud,
+    ) -> f64 {
         let max_sq = (SECOND_TRUNCATION * self.unit_m).powi(2);
-        let grid = &self.moving_grid;
-        let found: f64 = fixed
-            .iter()
-            .map(|p| back.apply(p))
-            .filter(|p| grid.covers(p))
-            .map(|p| 1.0 - grid.nearest(&p).1.min(max_sq) / max_sq)
-            .sum();
-        1.0 - found / n_moving as f64
+        let [from_sq, to_sq] = CONFLICT.map(|share| (share * self.unit_m).powi(2));
+        let of_each = |place: Point| {
+            let (nearest, distance_sq) = grid.nearest(&place);
+            let conflicts = distance_sq > from_sq
+                && distance_sq < to_sq
+                && lies_off(
+                    &place,
+                    &grid.points()[nearest],
+                    &cloud.surfaces[nearest].normal,
+                );
+            match conflicts {
+                true => -CONFLICT_COST,
+                false => 1.0 - distance_sq.min(max_sq) / max_sq,
+            }
+        };
+        places.map(of_each).sum()
     }
 }
 

@@ -131,6 +131,7 @@ pub fn search_paper(
                 inlier_share: f64::NAN,
                 weighted_share: f64::NAN,
                 misfit: f64::NAN,
+                conflict_share: f64::NAN,
             },
         }],
         ambiguity_ratio: f64::NAN,

@@ -8,7 +8,7 @@
 
 use std::ops::ControlFlow;
 
-use super::explore::Explorer;
+use super::explore::{Descents, Explorer};
 use super::hypotheses;
 use super::starts::{self, Starts};
 use super::verify::{Knowledge, Verifier};
@@ -31,11 +31,9 @@ const N_NEAR_KNOWN: usize = 64;
 
 /// Early rounds look at this share of the poses of the others.
 const EARLY: usize = 4;
-/// After early rounds, which have met few rivals, the best pose must stand out by more: so far at first,
-/// and so far where it was also turned about itself.
-const EARLY_RATIO: f64 = 2.5;
-const EARLY_SHARE: f64 = 0.75;
-const TURNED_SHARE_TIMES_RATIO: f64 = 1.9;
+/// After early rounds, which have met few rivals, the best pose must stand out by more, also from itself turned.
+const EARLY_RATIO: f64 = 3.0;
+const EARLY_SHARE_TIMES_RATIO: f64 = 2.0;
 
 /// When a pose stands out, so that the search may end.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,27 +42,20 @@ pub struct StandingOut {
     pub inlier_share: f64,
     /// And above this score by that of the best rival.
     pub ambiguity_ratio: f64,
-    /// And above this product of both.
+    /// And above this product of the net share and the ratio.
     pub share_times_ratio: f64,
     /// And not above this misfit; one that is NaN is none.
     pub misfit: f64,
+    /// And not above this share of conflicts.
+    pub conflict_share: f64,
 }
 
 impl StandingOut {
     /// The same for a search that has met few rivals yet.
     pub fn early(self) -> Self {
         Self {
-            inlier_share: self.inlier_share.max(EARLY_SHARE),
             ambiguity_ratio: self.ambiguity_ratio.max(EARLY_RATIO),
-            ..self
-        }
-    }
-
-    /// The same where the pose has been compared with itself turned about its middle.
-    fn early_though_turned(self) -> Self {
-        Self {
-            ambiguity_ratio: self.ambiguity_ratio.max(EARLY_RATIO),
-            share_times_ratio: self.share_times_ratio.max(TURNED_SHARE_TIMES_RATIO),
+            share_times_ratio: self.share_times_ratio.max(EARLY_SHARE_TIMES_RATIO),
             ..self
         }
     }
@@ -73,10 +64,12 @@ impl StandingOut {
     pub fn is_met_by(&self, agreement: &Agreement, ratio: f64) -> bool {
         let share = agreement.inlier_share;
         let lies_apart = agreement.misfit > self.misfit;
+        let conflicts = agreement.conflict_share > self.conflict_share;
         share > self.inlier_share
             && ratio > self.ambiguity_ratio
-            && share * ratio > self.share_times_ratio
+            && agreement.net_share() * ratio > self.share_times_ratio
             && !lies_apart
+            && !conflicts
     }
 }
 
@@ -87,6 +80,9 @@ enum Round {
     Starts { index: usize, n_rotations: usize },
     /// Points whose surroundings look alike.
     Descriptors,
+    /// As though up were up in both clouds, as it is in nearly all surveys: so many rotations would be as
+    /// dense where more is free.
+    Upright { n_rotations: usize },
 }
 
 impl Round {
@@ -96,16 +92,20 @@ impl Round {
     }
 }
 
-/// Few starts find most poses. Where they do not, descriptors cost less than more starts; than more
-/// yaws they cost more.
+/// Few starts find most poses. Where they do not, yaws cost less than descriptors, and these less than more
+/// starts of all that is free.
 fn rounds(options: &RobustSearchOptions, freedom: Freedom) -> Vec<Round> {
     let counts = options.rotations_per_round.iter().enumerate();
     let mut rounds: Vec<Round> = counts
         .map(|(index, &n_rotations)| Round::Starts { index, n_rotations })
         .collect();
+    let is_levelled = freedom == Freedom::Levelled;
     if options.descriptors {
-        let at = if freedom == Freedom::Levelled { 2 } else { 1 };
+        let at = if is_levelled { 2 } else { 1 };
         rounds.insert(at.min(rounds.len()), Round::Descriptors);
+    }
+    if let (Some(&n_rotations), false) = (options.rotations_per_round.get(1), is_levelled) {
+        rounds.insert(1, Round::Upright { n_rotations });
     }
     rounds
 }
@@ -162,11 +162,15 @@ pub(crate) fn search_asking(
     } else {
         (problem.target, problem.source)
     };
-    let explorer = Explorer::new(&moving.cloud, &fixed.cloud, unit_m, problem.freedom)?;
+    let explorer = Explorer::new(&moving.cloud, &fixed.cloud, unit_m)?;
+    let (few, many) = (
+        Descents::of_few(problem.freedom),
+        Descents::of_many(problem.freedom),
+    );
     let mut verifier = Verifier::new(
         moving,
         fixed,
-        &explorer.fixed_grid,
+        [&explorer.moving_grid, &explorer.fixed_grid],
         Knowledge {
             known: problem.known,
             source_moves,
@@ -196,13 +200,21 @@ pub(crate) fn search_asking(
             )
         };
         let n_starts = N_NEAR_KNOWN * known.len();
-        let (mut basins, n_poses) = explorer.basins(n_starts, start, deadline, progress)?;
+        let (mut basins, n_poses) = explorer.basins(n_starts, start, few, deadline, progress)?;
         n_explored += n_poses;
         basins.truncate(options.n_verified);
         let poses = [known.clone(), basins].concat();
-        verifier.look_at(&poses, known.len(), deadline, progress)?;
+        verifier.look_at(&poses, known.len(), problem.freedom, deadline, progress)?;
         stands_out = verifier.stands_out(enough, n_early, deadline, progress)?;
     }
+    let mut run_down = |starts: &Starts, descents: Descents, n_taken: usize| {
+        let start = |i| starts.pose(i);
+        let (mut basins, n_poses) =
+            explorer.basins(starts.len(), start, descents, deadline, progress)?;
+        n_explored += n_poses;
+        basins.truncate(n_taken);
+        Ok::<_, Error>(basins)
+    };
     // The pose that the files already have is always among the candidates.
     let as_given =
         Rigid::identity().between_local_coordinates(moving.cloud.origin, fixed.cloud.origin);
@@ -228,15 +240,16 @@ pub(crate) fn search_asking(
             Round::Starts { index, n_rotations } => {
                 let which = (index, n_rotations);
                 let starts = Starts::new(&fixed.cloud, unit_m, problem.freedom, which, seed);
-                let start = |i| starts.pose(i);
-                let (mut basins, n_poses) =
-                    explorer.basins(starts.len(), start, deadline, progress)?;
-                n_explored += n_poses;
-                basins.truncate(match round.is_wide() {
-                    true => options.n_verified,
-                    false => n_early,
-                });
-                basins
+                let (descents, n_taken) = match round.is_wide() {
+                    true => (many, options.n_verified),
+                    false => (few, n_early),
+                };
+                run_down(&starts, descents, n_taken)?
+            }
+            Round::Upright { n_rotations } => {
+                let starts = Starts::upright(&fixed.cloud, unit_m, n_rotations, seed);
+                let descents = Descents::of_many(Freedom::Levelled);
+                run_down(&starts, descents, options.n_verified)?
             }
             Round::Descriptors => {
                 let (moving, fixed) = (&moving.cloud, &fixed.cloud);
@@ -247,24 +260,21 @@ pub(crate) fn search_asking(
         };
         let n_certain = given.len();
         let poses = [std::mem::take(&mut given), found].concat();
-        verifier.look_at(&poses, n_certain, deadline, progress)?;
-        let wanted = match has_met_rivals {
-            true => enough,
-            false => enough.early(),
+        let freedom = match round {
+            Round::Upright { .. } => Freedom::Levelled,
+            Round::Starts { .. } | Round::Descriptors => problem.freedom,
         };
-        stands_out = verifier.stands_out(wanted, n_early, deadline, progress)?;
-        if stands_out || has_met_rivals {
+        verifier.look_at(&poses, n_certain, freedom, deadline, progress)?;
+        if has_met_rivals {
+            stands_out = verifier.stands_out(enough, n_early, deadline, progress)?;
             continue;
         }
-        // A room or a box fits nearly as well turned about itself, which few starts have met yet.
-        let wanted = enough.early_though_turned();
+        // A room or a box fits as well or nearly so turned about itself, which few starts have met yet.
+        let wanted = enough.early();
         if let Some(best) = verifier.standing_out(wanted) {
             let starts = Starts::turned(&best, unit_m, problem.freedom, seed);
-            let start = |i| starts.pose(i);
-            let (mut turned, n_poses) = explorer.basins(starts.len(), start, deadline, progress)?;
-            n_explored += n_poses;
-            turned.truncate(n_early);
-            verifier.look_at(&turned, 0, deadline, progress)?;
+            let turned = run_down(&starts, few, n_early)?;
+            verifier.look_at(&turned, 0, problem.freedom, deadline, progress)?;
             stands_out = verifier.stands_out(wanted, n_early, deadline, progress)?;
         }
     }
@@ -312,17 +322,43 @@ mod tests {
     use super::*;
 
     #[test]
+    fn what_costs_more_is_tried_later() {
+        let kinds = |freedom| -> Vec<&str> {
+            rounds(&RobustSearchOptions::default(), freedom)
+                .iter()
+                .map(|round| match round {
+                    Round::Starts { .. } if round.is_wide() => "wide",
+                    Round::Starts { .. } => "starts",
+                    Round::Upright { .. } => "upright",
+                    Round::Descriptors => "descriptors",
+                })
+                .collect()
+        };
+        let of_all = ["starts", "upright", "descriptors", "wide"];
+        assert_eq!(kinds(Freedom::Rigid), of_all);
+        assert_eq!(kinds(Freedom::Similarity), of_all);
+        assert_eq!(kinds(Freedom::Levelled), ["starts", "wide", "descriptors"]);
+        let brief = RobustSearchOptions {
+            rotations_per_round: vec![60],
+            ..RobustSearchOptions::default()
+        };
+        assert_eq!(rounds(&brief, Freedom::Rigid).len(), 2);
+    }
+
+    #[test]
     fn a_pose_stands_out_by_all_its_figures_and_early_by_more() {
         let wanted = StandingOut {
             inlier_share: 0.3,
             ambiguity_ratio: 1.6,
             share_times_ratio: 0.75,
             misfit: 1.3,
+            conflict_share: 0.15,
         };
         let at = |inlier_share: f64, misfit: f64| Agreement {
             inlier_share,
             weighted_share: inlier_share,
             misfit,
+            conflict_share: 0.0,
         };
         let is_met = |share, ratio, misfit| wanted.is_met_by(&at(share, misfit), ratio);
         assert!(is_met(0.5, 1.7, 0.9));
@@ -334,11 +370,12 @@ mod tests {
         assert!(is_met(0.5, 1.7, f64::NAN));
         assert!(!is_met(0.5, f64::NAN, 0.9));
         let is_met_early = |share, ratio| wanted.early().is_met_by(&at(share, 0.9), ratio);
-        assert!(is_met_early(0.8, 2.6));
-        assert!(!is_met_early(0.7, 9.0) && !is_met_early(0.9, 2.4));
-        let though_turned = wanted.early_though_turned();
-        let is_met_turned = |share, ratio| though_turned.is_met_by(&at(share, 0.9), ratio);
-        assert!(is_met_turned(0.4, 5.0));
-        assert!(!is_met_turned(0.4, 4.0) && !is_met_turned(0.9, 2.4));
+        assert!(is_met_early(0.8, 3.1) && is_met_early(0.4, 5.1));
+        assert!(!is_met_early(0.4, 4.9) && !is_met_early(0.9, 2.9));
+        let crossing = Agreement {
+            conflict_share: 0.16,
+            ..at(0.9, 0.9)
+        };
+        assert!(!wanted.is_met_by(&crossing, 9.0));
     }
 }

@@ -56,6 +56,20 @@ impl Starts {
         }
     }
 
+    /// Yaws about the vertical of both clouds, as dense as `n_rotations` are where all is free.
+    pub(super) fn upright(
+        fixed: &SurfaceCloud,
+        unit_m: f64,
+        n_rotations: usize,
+        seed: u64,
+    ) -> Self {
+        let which = (0, n_rotations);
+        Self {
+            purpose: "jitter of upright",
+            ..Self::new(fixed, unit_m, Freedom::Levelled, which, seed)
+        }
+    }
+
     /// `pose`, turned about where it brings the middle of the moving cloud, by rotations spread evenly over
     /// those that are free.
     pub(super) fn turned(pose: &Rigid, unit_m: f64, freedom: Freedom, seed: u64) -> Self {
@@ -209,6 +223,8 @@ fn anchors(fixed_sample: &[Point], pitch: f64, reach: f64) -> Vec<Point> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::Cloud;
+    use crate::progress::Progress;
 
     #[test]
     fn rotations_cover_the_group_evenly() {
@@ -258,6 +274,30 @@ mod tests {
             (turn[(2, 2)] - 1.0).abs() < 1e-12
         });
         assert!(upright);
+    }
+
+    #[test]
+    fn upright_starts_turn_about_the_vertical_alone() {
+        let bowl: Vec<Point> = (0..400)
+            .map(|i| [f64::from(i % 20), f64::from(i / 20)])
+            .map(|[x, y]| [x, y, 0.02 * (x - 10.0).powi(2)])
+            .collect();
+        let bowl = Cloud::new(&bowl).unwrap();
+        let bowl = SurfaceCloud::new(&bowl, 0, &Progress::silent()).unwrap();
+        let starts = Starts::upright(&bowl, 10.0, 240, 1);
+        let poses: Vec<Rigid> = (0..starts.len()).map(|i| starts.pose(i)).collect();
+        assert!(
+            poses
+                .iter()
+                .all(|p| (p.rotation[(2, 2)] - 1.0).abs() < 1e-12)
+        );
+        let mut yaws: Vec<f64> = poses
+            .iter()
+            .map(|p| p.rotation[(1, 0)].atan2(p.rotation[(0, 0)]))
+            .collect();
+        yaws.sort_by(f64::total_cmp);
+        let widest = yaws.windows(2).map(|w| w[1] - w[0]).fold(0.0, f64::max);
+        assert!(widest < 10_f64.to_radians(), "{widest}");
     }
 
     #[test]

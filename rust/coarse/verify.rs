@@ -7,7 +7,7 @@ use super::{differ, starts, without_points};
 use crate::deadline::Deadline;
 use crate::distance_field::NearestGrid;
 use crate::error::Result;
-use crate::fitness::{Agreement, Tolerance, Witnesses, agreement, off_plane_noise_m};
+use crate::fitness::{Agreement, Grids, Tolerance, Witnesses, agreement, off_plane_noise_m};
 use crate::freedom::Freedom;
 use crate::near_field::NearField;
 use crate::observations::LocalObservations;
@@ -100,6 +100,7 @@ pub(super) struct Verifier<'a> {
     fixed: &'a Witnesses,
     moving_field: NearField,
     fixed_field: NearField,
+    moving_grid: &'a NearestGrid,
     fixed_grid: &'a NearestGrid,
     knowledge: Knowledge<'a>,
     unit_m: f64,
@@ -117,7 +118,7 @@ impl<'a> Verifier<'a> {
     pub(super) fn new(
         moving: &'a Witnesses,
         fixed: &'a Witnesses,
-        fixed_grid: &'a NearestGrid,
+        [moving_grid, fixed_grid]: [&'a NearestGrid; 2],
         knowledge: Knowledge<'a>,
         unit_m: f64,
         freedom: Freedom,
@@ -133,6 +134,7 @@ impl<'a> Verifier<'a> {
             fixed,
             moving_field: moving_field?,
             fixed_field: fixed_field?,
+            moving_grid,
             fixed_grid,
             knowledge,
             unit_m,
@@ -144,12 +146,13 @@ impl<'a> Verifier<'a> {
         })
     }
 
-    /// Refines `poses`, scores each, and brings the leaders of all poses so far to rest. The first
-    /// `n_certain` of them are looked at even when the deadline is over.
+    /// Refines `poses` in what `freedom` leaves free, scores each, and brings the leaders of all poses so far
+    /// to rest, in all that is free. The first `n_certain` are looked at even when the deadline is over.
     pub(super) fn look_at(
         &mut self,
         poses: &[Rigid],
         n_certain: usize,
+        freedom: Freedom,
         deadline: Deadline,
         progress: &Progress<'_>,
     ) -> Result<()> {
@@ -158,7 +161,7 @@ impl<'a> Verifier<'a> {
             if i >= n_certain && deadline.is_over() {
                 return Ok(None);
             }
-            Ok(Some(self.scored(self.refined(&poses[i]), false)))
+            Ok(Some(self.scored(self.refined(&poses[i], freedom), false)))
         });
         // Somebody may have said stop meanwhile: then nothing more is told.
         let refined = refined.into_iter().collect::<Result<Vec<_>>>()?;
@@ -197,7 +200,7 @@ impl<'a> Verifier<'a> {
         };
         let echoes = echoes(self.moving, self.fixed, &best, self.unit_m, max_echoes);
         if !echoes.is_empty() {
-            self.look_at(&echoes, 0, deadline, progress)?;
+            self.look_at(&echoes, 0, self.freedom, deadline, progress)?;
         }
         Ok(self.standing_out(wanted).is_some())
     }
@@ -214,17 +217,18 @@ impl<'a> Verifier<'a> {
         self.history.last().copied().unwrap_or(0.0)
     }
 
-    fn refined(&self, start: &Rigid) -> Similarity {
+    fn refined(&self, start: &Rigid, freedom: Freedom) -> Similarity {
         let points = self.moving.cloud.sample(N_REFINED);
-        let (grid, unit_m, freedom) = (self.fixed_grid, self.unit_m, self.freedom);
+        let (grid, unit_m) = (self.fixed_grid, self.unit_m);
         let pose = descent::to_points(points, grid, *start, freedom, REFINE_POINTS.times(unit_m));
-        self.to_planes(pose.into(), None, REFINE_PLANES)
+        self.to_planes(pose.into(), None, freedom, REFINE_PLANES)
     }
 
     fn to_planes(
         &self,
         start: Similarity,
         field: Option<&NearField>,
+        freedom: Freedom,
         truncation: Shrinking,
     ) -> Similarity {
         let fixed = Fixed {
@@ -237,7 +241,7 @@ impl<'a> Verifier<'a> {
             &self.moving.cloud.surfaces,
             fixed,
             start,
-            self.freedom,
+            freedom,
             truncation.times(self.unit_m),
         )
     }
@@ -257,7 +261,8 @@ impl<'a> Verifier<'a> {
             }
             let finished = parallel::map(leaders.len(), |i| {
                 progress.check()?;
-                let pose = self.to_planes(leaders[i], Some(&self.fixed_field), FINISH);
+                let pose =
+                    self.to_planes(leaders[i], Some(&self.fixed_field), self.freedom, FINISH);
                 Ok(self.scored(pose, true))
             });
             let finished = finished.into_iter().collect::<Result<Vec<_>>>()?;
@@ -281,11 +286,25 @@ impl<'a> Verifier<'a> {
 
     fn agreement(&self, pose: &Similarity, tolerance: Tolerance) -> Agreement {
         agreement(
-            (self.moving, &self.moving_field),
-            (self.fixed, &self.fixed_field),
+            (self.moving, &self.moving_grids()),
+            (self.fixed, &self.fixed_grids()),
             pose,
             tolerance,
         )
+    }
+
+    fn moving_grids(&self) -> Grids<'_> {
+        Grids {
+            fine: &self.moving_field,
+            coarse: self.moving_grid,
+        }
+    }
+
+    fn fixed_grids(&self) -> Grids<'_> {
+        Grids {
+            fine: &self.fixed_field,
+            coarse: self.fixed_grid,
+        }
     }
 
     fn rank(&mut self) {
@@ -319,16 +338,17 @@ impl<'a> Verifier<'a> {
             return f64::NAN;
         };
         let distance_m = VERIFY_DISTANCE * self.unit_m;
-        let fixed = (self.fixed, &self.fixed_field);
+        let fixed = (self.fixed, &self.fixed_grids());
         let noise_m = off_plane_noise_m(self.moving, fixed, &best.pose, distance_m);
         let off_plane_m = noise_m.clamp(LEAST_OFF_PLANE * self.unit_m, distance_m);
         let tolerance = Tolerance {
             distance_m,
             off_plane_m,
         };
-        let poses: Vec<Similarity> = self.distinct().take(N_RIVALS + 1).map(|v| v.pose).collect();
-        let scores = parallel::map(poses.len(), |i| {
-            self.agreement(&poses[i], tolerance).weighted_share
+        let leaders: Vec<&Verified> = self.distinct().take(N_RIVALS + 1).collect();
+        let scores = parallel::map(leaders.len(), |i| {
+            let accurate = self.agreement(&leaders[i].pose, tolerance);
+            accurate.weighted_share * leaders[i].agreement.concord()
         });
         let rival = scores[1..].iter().copied().fold(0.0, f64::max);
         if rival > 0.0 {
@@ -345,7 +365,9 @@ impl<'a> Verifier<'a> {
         let poses: Vec<Rigid> = (0..N_CHANCE)
             .map(|_| starts::random_pose(self.fixed.cloud.points(), self.freedom, &mut stream))
             .collect();
-        let refined = parallel::map(poses.len(), |i| self.scored(self.refined(&poses[i]), false));
+        let refined = parallel::map(poses.len(), |i| {
+            self.scored(self.refined(&poses[i], self.freedom), false)
+        });
         let is_other = |v: &&Verified| {
             self.best()
                 .is_none_or(|best| self.are_distinct(&best.pose, &v.pose))

@@ -31,6 +31,7 @@ pub(super) fn enough(config: &Config) -> StandingOut {
         ambiguity_ratio: config.verdict.accept_ambiguity_ratio,
         share_times_ratio: config.verdict.accept_share_times_ratio,
         misfit: config.verdict.accept_misfit,
+        conflict_share: config.verdict.accept_conflict_share,
     }
 }
 

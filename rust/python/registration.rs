@@ -66,6 +66,8 @@ fn registration(py: Python<'_>, found: Registration) -> PyResult<Bound<'_, PyDic
         "lead_over_chance": found.lead_over_chance,
         "held_out_ratio": found.held_out_ratio,
         "misfit": found.misfit,
+        "conflict_share": found.conflict_share,
+        "net_share": found.net_share,
         "ended_early": found.ended_early,
         "scale": found.target_from_source.scale,
         "scale_standard_error": uncertainty.and_then(|u| u.scale_standard_error),

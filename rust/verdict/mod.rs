@@ -64,6 +64,11 @@ pub struct Evidence {
     pub held_out_ratio: f64,
     /// How far the surfaces lie apart, by how rough they are themselves; NaN where it is not known.
     pub misfit: f64,
+    /// Surface of both clouds that lies above or below the other's, by that and what has a partner; NaN where it
+    /// is not known.
+    pub conflict_share: f64,
+    /// The share of inliers, less what conflicts with it.
+    pub net_share: f64,
     /// How far the pose is from what was known of it, in standard deviations per number; NaN where
     /// nothing was.
     pub deviation_from_known: f64,
@@ -143,6 +148,8 @@ impl Judgement {
 ///     lead_over_chance: 9.0,
 ///     held_out_ratio: 1.0,
 ///     misfit: 0.6,
+///     conflict_share: 0.02,
+///     net_share: 0.7,
 ///     deviation_from_known: f64::NAN,
 ///     scale_at_bound: false,
 ///     ended_early: false,
@@ -168,7 +175,7 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
     let ratio = evidence.ambiguity_ratio;
     let needed_ratio = options
         .accept_ambiguity_ratio
-        .max(options.accept_share_times_ratio / share);
+        .max(options.accept_share_times_ratio / counted(evidence.net_share));
     if share < options.reject_inlier_share {
         lower(
             Verdict::Rejected,
@@ -257,6 +264,16 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
             ),
         );
     }
+    if evidence.conflict_share > options.accept_conflict_share {
+        lower(
+            Verdict::Review,
+            format!(
+                "{:.0} % of the surface near the other cloud lies above or below it instead of on it: surfaces \
+                 that cross, or a place that has changed",
+                100.0 * evidence.conflict_share
+            ),
+        );
+    }
     if evidence.held_out_ratio > options.accept_held_out_ratio {
         lower(
             Verdict::Review,
@@ -326,6 +343,8 @@ mod tests {
             lead_over_chance: 5.0,
             held_out_ratio: 1.0,
             misfit: 0.6,
+            conflict_share: 0.02,
+            net_share: 0.44,
             deviation_from_known: f64::NAN,
             scale_at_bound: false,
             ended_early: false,
@@ -342,6 +361,22 @@ mod tests {
         };
         assert_eq!(judged(good()).0, Verdict::Accepted);
         let cases = [
+            (
+                Evidence {
+                    net_share: 0.2,
+                    ..good()
+                },
+                Verdict::Review,
+                "4.50 times are asked for",
+            ),
+            (
+                Evidence {
+                    conflict_share: 0.2,
+                    ..good()
+                },
+                Verdict::Review,
+                "20 % of the surface near the other cloud lies above or below it",
+            ),
             (
                 Evidence {
                     misfit: 4.0,

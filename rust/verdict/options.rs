@@ -12,8 +12,8 @@ pub struct VerdictOptions {
     pub accept_inlier_share: f64,
     /// Accept only where the best pose scores so many times its best rival; at least 1.
     pub accept_ambiguity_ratio: f64,
-    /// Accept only where the share of inliers times the ambiguity ratio is above this: the less the
-    /// clouds share, the clearer the lead must be. At least 0.
+    /// Accept only where the net share times the ambiguity ratio is above this: the less the clouds share,
+    /// the clearer the lead must be. At least 0.
     pub accept_share_times_ratio: f64,
     /// Accept only where the least constrained direction is held by this share of what all points
     /// together could hold, in 0 to 1.
@@ -26,6 +26,9 @@ pub struct VerdictOptions {
     /// Accept only where the surfaces lie at most so many times as far apart as they are rough
     /// themselves; above 0.
     pub accept_misfit: f64,
+    /// Accept only where at most this share of what lies near the other cloud lies above or below its
+    /// surface, in 0 to 1.
+    pub accept_conflict_share: f64,
     /// Accept only up to so many standard deviations from what was known of the pose; above 0.
     pub accept_deviation_from_known: f64,
     /// Reject below this share of inliers, in 0 to 1.
@@ -39,12 +42,13 @@ impl Default for VerdictOptions {
     fn default() -> Self {
         Self {
             accept_inlier_share: 0.30,
-            accept_ambiguity_ratio: 1.6,
-            accept_share_times_ratio: 0.75,
+            accept_ambiguity_ratio: 2.0,
+            accept_share_times_ratio: 0.9,
             accept_strength: 0.003,
             accept_lead_over_chance: 1.2,
             accept_held_out_ratio: 1.5,
             accept_misfit: 1.3,
+            accept_conflict_share: 0.15,
             accept_deviation_from_known: 3.0,
             reject_inlier_share: 0.20,
             reject_ambiguity_ratio: 1.10,
@@ -61,6 +65,8 @@ impl VerdictOptions {
             1.0,
         )?;
         require_between("verdict.accept_strength", self.accept_strength, 0.0, 1.0)?;
+        let conflicts = self.accept_conflict_share;
+        require_between("verdict.accept_conflict_share", conflicts, 0.0, 1.0)?;
         require_between(
             "verdict.reject_inlier_share",
             self.reject_inlier_share,

@@ -153,8 +153,8 @@ def evidence(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     ``passed`` is None where nothing was measured.
     """
     limits = document["config"]["verdict"]
-    share = document["inlier_share"]
-    product = limits["accept_share_times_ratio"] / share if share else math.inf
+    share, net_share = document["inlier_share"], document["net_share"]
+    product = limits["accept_share_times_ratio"] / net_share if net_share else math.inf
     needed = max(limits["accept_ambiguity_ratio"], product)
     ratio = document["ambiguity_ratio"]
     no_rival = ratio is None and document["mode"] == "robust"
@@ -194,6 +194,14 @@ def evidence(document: Mapping[str, Any]) -> list[dict[str, Any]]:
             document["misfit"],
             limits["accept_misfit"],
             _times,
+            most=True,
+        ),
+        _check(
+            "Conflicting surface",
+            "share of the surface near the other cloud that lies above or below it, where surfaces cross",
+            document["conflict_share"],
+            limits["accept_conflict_share"],
+            percent,
             most=True,
         ),
         _check(
