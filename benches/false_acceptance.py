@@ -141,6 +141,7 @@ def run_once(case: Case) -> dict[str, Any]:
         "ratio": found.ambiguity_ratio,
         "strength": found.strength,
         "conflict": found.conflict_share,
+        "offset": found.surface_offset / found.extent,
         "overlap": [found.overlap_of_source, found.overlap_of_target],
         "rotation_deg": rotation_deg,
         "translation": translation,

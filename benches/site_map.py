@@ -106,6 +106,7 @@ def run_once(case: Case, n_threads: int | None) -> dict[str, Any]:
         "ratio": found.ambiguity_ratio,
         "strength": found.strength,
         "conflict": found.conflict_share,
+        "offset": found.surface_offset / found.extent,
         "seconds": found.seconds,
         "reasons": list(found.reasons),
     }

@@ -314,6 +314,10 @@ def noisy_other_sites(rng: Generator) -> tuple[Array, Array, bool]:
     return flown_roughly(other_sites, rng)
 
 
+def noisy_sites_of_one_plan(rng: Generator) -> tuple[Array, Array, bool]:
+    return flown_roughly(sites_of_one_plan, rng)
+
+
 def noisy_mirrored_sites(rng: Generator) -> tuple[Array, Array, bool]:
     return flown_roughly(mirrored_sites, rng)
 
@@ -354,6 +358,7 @@ MAKERS: dict[Maker, int] = {
     sites_without_overlap: 4,
     other_sites: 6,
     noisy_other_sites: 6,
+    noisy_sites_of_one_plan: 6,
     noisy_mirrored_sites: 6,
     noisy_sites_without_overlap: 4,
 }

@@ -9,6 +9,7 @@
 
 mod conflicts;
 mod finder;
+mod offset;
 mod witnesses;
 
 pub(crate) use conflicts::lies_off;
@@ -25,6 +26,7 @@ use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
 
 pub use finder::{FindsPartner, Grids};
+pub use offset::surface_offset_m;
 pub use witnesses::Witnesses;
 
 /// The RMS of Eq. (1): root mean squared distance from the moved source points to their nearest

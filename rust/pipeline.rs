@@ -32,9 +32,9 @@ use crate::verdict::{Evidence, Rival, Strength, Verdict, judge};
 
 /// Voxels along the extent of the smaller cloud, where no edge is asked for.
 pub const VOXELS_PER_EXTENT: f64 = 250.0;
-/// The fine pose is kept unless the clouds agree by less than this share of what they did before; from one
-/// good pose to another the score may change by a hundredth.
-const LEAST_KEPT: f64 = 0.97;
+/// The fine pose is kept unless the clouds agree by less than this share of what they did before: where noise is
+/// as large as a voxel, the score changes by a twentieth by chance.
+const LEAST_KEPT: f64 = 0.9;
 /// A pose that leads its rivals by more is not doubted: whether the source is mirrored is not tried.
 const CLEAR_AMBIGUITY_RATIO: f64 = 5.0;
 /// A partner within so many voxels supports the pose, where no distance is asked for.
@@ -229,6 +229,13 @@ fn route(
         max_distance_m / pose.scale,
         progress,
     )?;
+    let surface_offset_m = fitness::surface_offset_m(
+        source_surface,
+        target_surface,
+        &pose,
+        prepared.unit_m,
+        progress,
+    )?;
     let held_out = held_out_ratio(&prepared, &pose, max_distance_m);
     let strength = Strength::new(
         &support.planes.information(),
@@ -256,6 +263,8 @@ fn route(
             misfit: agreed.misfit,
             conflict_share: agreed.conflict_share,
             net_share: agreed.net_share(),
+            surface_offset_m,
+            extent_m: prepared.unit_m,
             deviation_from_known: match known.n_observed() {
                 0 => f64::NAN,
                 n => (known.chi_squared(&pose) / n as f64).sqrt(),
@@ -317,6 +326,8 @@ fn route(
         misfit: agreed.misfit,
         conflict_share: agreed.conflict_share,
         net_share: agreed.net_share(),
+        surface_offset_m,
+        extent_m: prepared.unit_m,
         ended_early: found.ended_early,
         uncertainty,
         n_evaluations: found.n_evaluations,

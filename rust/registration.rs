@@ -73,6 +73,11 @@ pub struct Registration {
     pub conflict_share: f64,
     /// The share of inliers, less what conflicts with it.
     pub net_share: f64,
+    /// How far even surfaces lie apart once their noise is averaged out; NaN where hardly any is even, or points
+    /// are too few.
+    pub surface_offset_m: f64,
+    /// Extent of the smaller cloud, which lengths that are not given are derived from.
+    pub extent_m: f64,
     /// Whether the time was up before the search was done.
     pub ended_early: bool,
     /// How accurate the pose is, about a place relative to the target's pivot; `None` where the pairs

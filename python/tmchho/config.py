@@ -232,6 +232,9 @@ class VerdictOptions:
     accept_conflict_share : float, optional
         Accept only where at most this share of what lies near the other cloud lies above or below its
         surface, 0 to 1.
+    accept_surface_offset : float, optional
+        Accept only where even surfaces lie at most so far apart once their noise is averaged out, as a share
+        of the extent of the smaller cloud, above 0.
     accept_deviation_from_known : float, optional
         Accept only up to so many standard deviations from the prior and the control points, above 0.
     """
@@ -244,6 +247,7 @@ class VerdictOptions:
     accept_held_out_ratio: float | None = None
     accept_misfit: float | None = None
     accept_conflict_share: float | None = None
+    accept_surface_offset: float | None = None
     accept_deviation_from_known: float | None = None
     reject_inlier_share: float | None = None
     reject_ambiguity_ratio: float | None = None

@@ -177,6 +177,13 @@ class Registration(ReadOnlyArrays):
         or behind what the other saw.
     net_share : float
         The share of inliers, less what conflicts with it: times (1 - `conflict_share`)⁴.
+    surface_offset : float
+        How far even surfaces lie apart once their noise is averaged out: distances along the normal between
+        patches of both clouds (those of M3C2), averaged over regions; the median of these. NaN where hardly
+        any surface is even, or points are too few.
+    extent : float
+        Extent of the smaller cloud, 2.4 times the radius that holds 99.5 % of its points. Lengths that are
+        not given are derived from it.
     registration_error : float or None
         The 1σ displacement of a point by the errors of the pose, in the unit of the target: in all directions
         together, root mean square over the overlap. It is the term "reg" of the level of detection of M3C2,
@@ -258,6 +265,8 @@ class Registration(ReadOnlyArrays):
     misfit: float
     conflict_share: float
     net_share: float
+    surface_offset: float
+    extent: float
     registration_error: float | None
     scale_standard_error: float | None
     covariance: NDArray[np.float64] | None
@@ -366,6 +375,8 @@ class Registration(ReadOnlyArrays):
         accuracy = "not known" if error is None else f"{error:.2g} ({accuracy})"
         misfit = f"the surfaces lie {self.misfit:.2f} times as far apart as they are rough themselves"
         misfit = "not known" if math.isnan(self.misfit) else misfit
+        offset = f"even surfaces lie {self.surface_offset:.2g} apart once their noise is averaged out"
+        offset = "not known" if math.isnan(self.surface_offset) else offset
         conflict = f"{self.conflict_share:.1%} of the surface near the other cloud lies above or below it"
         lines += [
             f"accuracy   {accuracy}",
@@ -374,6 +385,7 @@ class Registration(ReadOnlyArrays):
             f"fit        {self.inlier_rmse:.4g} RMS of {self.n_inliers:,} of {n_voxels:,} voxels"
             f" of edge {self.voxel_size:.4g}",
             f"misfit     {misfit}",
+            f"offset     {offset}",
             f"conflict   {conflict}",
             f"held       {self.strength:.3f} in the weakest direction, {self.weakest_direction}",
             f"distances  source to target: median {forth.median:.4g}, 95 % below"

@@ -68,6 +68,8 @@ fn registration(py: Python<'_>, found: Registration) -> PyResult<Bound<'_, PyDic
         "misfit": found.misfit,
         "conflict_share": found.conflict_share,
         "net_share": found.net_share,
+        "surface_offset": found.surface_offset_m,
+        "extent": found.extent_m,
         "ended_early": found.ended_early,
         "scale": found.target_from_source.scale,
         "scale_standard_error": uncertainty.and_then(|u| u.scale_standard_error),

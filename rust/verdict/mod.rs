@@ -9,15 +9,14 @@
 //! Absent on purpose: points; nothing is measured here.
 
 mod options;
+mod rival;
 mod strength;
 
 use serde::{Deserialize, Serialize};
 
 pub use options::VerdictOptions;
+pub use rival::Rival;
 pub use strength::Strength;
-
-use crate::cloud::{Point, distance_sq};
-use crate::similarity::Similarity;
 
 /// The verdict.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -69,6 +68,10 @@ pub struct Evidence {
     pub conflict_share: f64,
     /// The share of inliers, less what conflicts with it.
     pub net_share: f64,
+    /// How far even surfaces lie apart once their noise is averaged out; NaN where it is not known.
+    pub surface_offset_m: f64,
+    /// Extent of the smaller cloud.
+    pub extent_m: f64,
     /// How far the pose is from what was known of it, in standard deviations per number; NaN where
     /// nothing was.
     pub deviation_from_known: f64,
@@ -78,35 +81,6 @@ pub struct Evidence {
     pub ended_early: bool,
     /// Whether the fine stage came to rest.
     pub converged: bool,
-}
-
-/// How another pose differs from the best one.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Rival {
-    /// By how much it is turned.
-    pub turned_rad: f64,
-    /// By how much it moves the middle of the source.
-    pub shifted_m: f64,
-}
-
-impl Rival {
-    /// How `rival` differs from `best` at the `middle` of the source.
-    pub fn between(best: &Similarity, rival: &Similarity, middle: &Point) -> Self {
-        Self {
-            turned_rad: (rival.rigid * best.rigid.inverse()).rotation_angle_rad(),
-            shifted_m: distance_sq(&rival.apply(middle), &best.apply(middle)).sqrt(),
-        }
-    }
-
-    fn words(rival: Option<&Self>) -> String {
-        rival.map_or(String::new(), |rival| {
-            format!(
-                ", which is turned by {:.0}° and shifted by {:.3} m",
-                rival.turned_rad.to_degrees(),
-                rival.shifted_m
-            )
-        })
-    }
 }
 
 /// The verdict with its reasons, the weightiest first.
@@ -150,6 +124,8 @@ impl Judgement {
 ///     misfit: 0.6,
 ///     conflict_share: 0.02,
 ///     net_share: 0.7,
+///     surface_offset_m: 0.002,
+///     extent_m: 20.0,
 ///     deviation_from_known: f64::NAN,
 ///     scale_at_bound: false,
 ///     ended_early: false,
@@ -274,6 +250,17 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
             ),
         );
     }
+    let most_m = options.accept_surface_offset * evidence.extent_m;
+    if evidence.surface_offset_m > most_m {
+        lower(
+            Verdict::Review,
+            format!(
+                "even surfaces lie {:.3} m apart, and not by their noise; up to {most_m:.3} m are accepted: \
+                 places that resemble each other, one that has changed, or a model that is bent",
+                evidence.surface_offset_m
+            ),
+        );
+    }
     if evidence.held_out_ratio > options.accept_held_out_ratio {
         lower(
             Verdict::Review,
@@ -344,6 +331,8 @@ mod tests {
             held_out_ratio: 1.0,
             misfit: 0.6,
             conflict_share: 0.02,
+            surface_offset_m: 0.002,
+            extent_m: 20.0,
             net_share: 0.44,
             deviation_from_known: f64::NAN,
             scale_at_bound: false,
@@ -368,6 +357,14 @@ mod tests {
                 },
                 Verdict::Review,
                 "4.50 times are asked for",
+            ),
+            (
+                Evidence {
+                    surface_offset_m: 0.05,
+                    ..good()
+                },
+                Verdict::Review,
+                "even surfaces lie 0.050 m apart, and not by their noise; up to 0.013 m are accepted",
             ),
             (
                 Evidence {

@@ -29,6 +29,9 @@ pub struct VerdictOptions {
     /// Accept only where at most this share of what lies near the other cloud lies above or below its
     /// surface, in 0 to 1.
     pub accept_conflict_share: f64,
+    /// Accept only where even surfaces lie at most so far apart once their noise is averaged out, as a share of
+    /// the extent of the smaller cloud; above 0.
+    pub accept_surface_offset: f64,
     /// Accept only up to so many standard deviations from what was known of the pose; above 0.
     pub accept_deviation_from_known: f64,
     /// Reject below this share of inliers, in 0 to 1.
@@ -49,6 +52,7 @@ impl Default for VerdictOptions {
             accept_held_out_ratio: 1.5,
             accept_misfit: 1.3,
             accept_conflict_share: 0.15,
+            accept_surface_offset: 0.00065,
             accept_deviation_from_known: 3.0,
             reject_inlier_share: 0.20,
             reject_ambiguity_ratio: 1.10,
@@ -81,6 +85,11 @@ impl VerdictOptions {
             ("accept_lead_over_chance", self.accept_lead_over_chance, 1.0),
             ("accept_held_out_ratio", self.accept_held_out_ratio, 1.0),
             ("accept_misfit", self.accept_misfit, f64::MIN_POSITIVE),
+            (
+                "accept_surface_offset",
+                self.accept_surface_offset,
+                f64::MIN_POSITIVE,
+            ),
             (
                 "accept_deviation_from_known",
                 self.accept_deviation_from_known,

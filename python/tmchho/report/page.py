@@ -87,7 +87,7 @@ def make_page(
         reasons=[words.sentence(text) for text in document["reasons"]],
         figures=words.key_figures(document, unit),
         charts=shown,
-        evidence=words.evidence(document),
+        evidence=words.evidence(document, unit),
         scene=None if points is None else report_scene(points, document, unit, fields, change),
         change=change,
         n_shown=0 if points is None else len(points.steps),

@@ -147,7 +147,7 @@ def key_figures(document: Mapping[str, Any], unit: str) -> list[dict[str, str]]:
     return figures
 
 
-def evidence(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+def evidence(document: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
     """Return what the verdict rests on: each check with its value, its limit and its meaning.
 
     ``passed`` is None where nothing was measured.
@@ -202,6 +202,14 @@ def evidence(document: Mapping[str, Any]) -> list[dict[str, Any]]:
             document["conflict_share"],
             limits["accept_conflict_share"],
             percent,
+            most=True,
+        ),
+        _check(
+            "Offset of the surfaces",
+            "how far even surfaces lie apart once their noise is averaged out",
+            document["surface_offset"],
+            limits["accept_surface_offset"] * document["extent"],
+            lambda value: length(value, unit, 2),
             most=True,
         ),
         _check(

@@ -113,6 +113,14 @@ def test_equal_piers_have_several_candidates_and_a_rival_is_named() -> None:
     assert second > 0.8 * best
 
 
+def test_a_dam_of_the_same_plan_is_another_dam_also_where_noise_hides_it() -> None:
+    source, target, _ = strangers.noisy_sites_of_one_plan(np.random.default_rng(3))
+    found = tmchho.register(source, target, seed=3)
+    assert found.verdict != "accepted"
+    assert found.misfit < 1.3  # by their roughness the surfaces might be one
+    assert any(f"even surfaces lie {found.surface_offset:.3f} m apart" in r for r in found.reasons)
+
+
 def test_a_tenth_in_common_is_never_accepted_elsewhere() -> None:
     source, target = field(2500, 0, 33, survey=5), field(2500, 30, 63, survey=6)
     found = tmchho.register(away(source), target)
