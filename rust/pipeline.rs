@@ -229,11 +229,11 @@ fn route(
         max_distance_m / pose.scale,
         progress,
     )?;
-    let surface_offset_m = fitness::surface_offset_m(
-        source_surface,
-        target_surface,
+    let surface_offset_m = surface_offset_m(
+        &prepared,
         &pose,
-        prepared.unit_m,
+        [&source_cleaned, &target_cleaned],
+        &config,
         progress,
     )?;
     let held_out = held_out_ratio(&prepared, &pose, max_distance_m);
@@ -374,6 +374,35 @@ fn refine(
         &config.icp,
         progress,
     )
+}
+
+/// How far even surfaces lie apart; where that is much, and the clouds are strewn, without their strays if it was
+/// these that shifted the means of surfaces.
+fn surface_offset_m(
+    prepared: &Prepared,
+    pose: &Similarity,
+    [source, target]: [&Cloud; 2],
+    config: &Config,
+    progress: &Progress<'_>,
+) -> Result<f64> {
+    let of = |prepared: &Prepared, pose: &Similarity| {
+        let (source, target) = (&prepared.source.cloud, &prepared.target.cloud);
+        fitness::surface_offset_m(source, target, pose, prepared.unit_m, progress)
+    };
+    let offset_m = of(prepared, pose)?;
+    let most_m = config.verdict.accept_surface_offset * prepared.unit_m;
+    if offset_m > most_m && prepared.is_strewn(progress)? {
+        let cleaned = prepared.without_strays(source, target, config, progress)?;
+        if let Some(cleaned) = cleaned {
+            let pose = cleaned.pose_from_given(&prepared.pose_to_given(pose));
+            let cleaned_m = of(&cleaned, &pose)?;
+            // A part of the noise goes with the strays, so a little less proves nothing.
+            if cleaned_m < 0.5 * offset_m {
+                return Ok(cleaned_m);
+            }
+        }
+    }
+    Ok(offset_m)
 }
 
 /// One point in ten is held out.

@@ -4,7 +4,7 @@
 //! the photogrammetry is as noisy as that, the wrong dam fits as closely as its own. Averaged, noise goes, also what
 //! of it neighbours have in common, and what lies apart stays.
 //! Source: the distances are those of M3C2 (Lague, Brodu & Leroux 2013, Eq. 1 and Sec. 3), of trimmed means; their
-//! average and its median are ours, measured in docs/robust_search.md.
+//! average and its quantile are ours, measured in docs/robust_search.md.
 
 use super::median;
 use crate::cloud::{Point, dot};
@@ -42,10 +42,10 @@ struct Patch {
     apart_m: f64,
 }
 
-/// How far apart even surfaces of both clouds lie at `pose` (fixed from moving), their noise averaged out: the
-/// median, over patches, of the mean distance along the normal round about, in the unit of the fixed cloud. NaN
-/// where hardly any surface near the other cloud is even: in a canopy, in a cloud of few points. `unit_m` is
-/// the extent of the smaller cloud.
+/// How far apart even surfaces of both clouds lie at `pose` (fixed from moving), their noise averaged out, in the
+/// unit of the fixed cloud: the distance along the normal, averaged round about each patch, that three quarters
+/// of the patches stay below. NaN where hardly any surface near the other cloud is even: in a canopy, in a
+/// cloud of few points. `unit_m` is the extent of the smaller cloud.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`].
@@ -56,6 +56,8 @@ pub fn surface_offset_m(
     unit_m: f64,
     progress: &Progress<'_>,
 ) -> Result<f64> {
+    /// A fourth of a place may have changed; and dams of one plan lie together in parts.
+    const QUANTILE: f64 = 0.75;
     /// Normals of patches that are averaged agree within 37°.
     const MIN_COSINE: f64 = 0.8;
     let patches = even_patches(moving, fixed, pose, unit_m, progress)?;
@@ -79,7 +81,8 @@ pub fn surface_offset_m(
         }
         f64::abs(sum_m / n)
     });
-    Ok(median(&mut means_m))
+    let at = ((means_m.len() - 1) as f64 * QUANTILE) as usize;
+    Ok(*means_m.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
 /// Patches where both clouds show a surface that is even and of one direction.

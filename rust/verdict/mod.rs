@@ -364,7 +364,7 @@ mod tests {
                     ..good()
                 },
                 Verdict::Review,
-                "even surfaces lie 0.050 m apart, and not by their noise; up to 0.013 m are accepted",
+                "even surfaces lie 0.050 m apart, and not by their noise; up to 0.018 m are accepted",
             ),
             (
                 Evidence {

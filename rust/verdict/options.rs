@@ -52,7 +52,7 @@ impl Default for VerdictOptions {
             accept_held_out_ratio: 1.5,
             accept_misfit: 1.3,
             accept_conflict_share: 0.15,
-            accept_surface_offset: 0.00065,
+            accept_surface_offset: 0.0009,
             accept_deviation_from_known: 3.0,
             reject_inlier_share: 0.20,
             reject_ambiguity_ratio: 1.10,
