@@ -375,7 +375,7 @@ class Registration(ReadOnlyArrays):
         accuracy = "not known" if error is None else f"{error:.2g} ({accuracy})"
         misfit = f"the surfaces lie {self.misfit:.2f} times as far apart as they are rough themselves"
         misfit = "not known" if math.isnan(self.misfit) else misfit
-        offset = f"even surfaces lie {self.surface_offset:.2g} apart once their noise is averaged out"
+        offset = f"three quarters of even surface lie within {self.surface_offset:.2g}, noise averaged out"
         offset = "not known" if math.isnan(self.surface_offset) else offset
         conflict = f"{self.conflict_share:.1%} of the surface near the other cloud lies above or below it"
         lines += [

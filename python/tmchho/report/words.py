@@ -206,7 +206,7 @@ def evidence(document: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
         ),
         _check(
             "Offset of the surfaces",
-            "how far even surfaces lie apart once their noise is averaged out",
+            "within which distance three quarters of even surface lie once their noise is averaged out",
             document["surface_offset"],
             limits["accept_surface_offset"] * document["extent"],
             lambda value: length(value, unit, 2),
