@@ -15,7 +15,7 @@ mod witnesses;
 pub(crate) use conflicts::lies_off;
 use conflicts::n_conflicts;
 
-use crate::cloud::{Point, distance_sq};
+use crate::cloud::{Point, difference, distance_sq, dot};
 use crate::error::Result;
 use crate::neighbors::{Neighbor, NeighborIndex};
 use crate::parallel;
@@ -282,11 +282,8 @@ fn each_partner<P: FindsPartner>(
         };
         let own = to_from.rigid.rotate(&from.cloud.surfaces[i].normal);
         let normal = &to.surfaces[partner].normal;
-        let place = &to.points()[partner];
-        let cosine: f64 = (0..3).map(|axis| own[axis] * normal[axis]).sum();
-        let off_plane: f64 = (0..3)
-            .map(|axis| (moved[axis] - place[axis]) * normal[axis])
-            .sum();
+        let cosine = dot(&own, normal);
+        let off_plane = dot(&difference(&moved, &to.points()[partner]), normal);
         if cosine.abs() > MIN_COSINE && off_plane.abs() <= tolerance.off_plane_m {
             visit(Partners {
                 from: i,
@@ -577,13 +574,14 @@ mod tests {
 
     #[test]
     fn a_ridge_on_its_like_is_worth_more_than_a_floor_on_any_noisy_floor() {
-        let (sharp, noisy) = (ridge(0.0, 1.0, 0.0, 1), ridge(0.4, 3.0, 0.02, 2));
-        let right = Rigid::identity().between_local_coordinates(sharp.origin, noisy.origin);
-        let [a, b] = witnesses([sharp, noisy], 2500, 0.08, 0.02);
-        let tolerance = Tolerance::within(0.05);
-        let here = agree(&a, &b, &right, tolerance);
-        let there = Rigid::from_euler([0.0; 3], [1.5, 0.0, 0.0]) * right;
-        let there = agree(&a, &b, &there, tolerance);
+        let in_place_and_beside = |low: f64| {
+            let (sharp, noisy) = (ridge(0.0, 1.0, 0.0, 1), ridge(low, 3.0, 0.02, 2));
+            let right = Rigid::identity().between_local_coordinates(sharp.origin, noisy.origin);
+            let [a, b] = witnesses([sharp, noisy], 2500, 0.08, 0.02);
+            let beside = Rigid::from_euler([0.0; 3], [1.5, 0.0, 0.0]) * right;
+            [right, beside].map(|pose| agree(&a, &b, &pose, Tolerance::within(0.05)))
+        };
+        let [here, there] = in_place_and_beside(0.4);
         assert!(
             here.inlier_share < 0.7 * there.inlier_share,
             "{here:?} {there:?}"
@@ -592,5 +590,8 @@ mod tests {
             here.weighted_share > 1.2 * there.weighted_share,
             "{here:?} {there:?}"
         );
+        // Where the border runs along the foot of the ridge, the floor outside counts as off its slope.
+        let [here, there] = in_place_and_beside(0.2);
+        assert!(here.score() > 1.2 * there.score(), "{here:?} {there:?}");
     }
 }

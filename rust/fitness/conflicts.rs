@@ -7,7 +7,7 @@
 //! violation: Huber & Hebert (2003).
 
 use super::{FindsPartner, Witnesses};
-use crate::cloud::{Point, distance_sq};
+use crate::cloud::{Point, difference, distance_sq, dot};
 use crate::similarity::Similarity;
 
 /// Conflicts lie so many tolerances from the other surface: closer it may be noise, farther another surface.
@@ -19,9 +19,7 @@ const TO: f64 = 8.0;
 #[inline]
 pub(crate) fn lies_off(place: &Point, nearest: &Point, normal: &Point) -> bool {
     const MIN_COSINE: f64 = 0.85;
-    let off_plane: f64 = (0..3)
-        .map(|axis| (place[axis] - nearest[axis]) * normal[axis])
-        .sum();
+    let off_plane = dot(&difference(place, nearest), normal);
     off_plane * off_plane > MIN_COSINE * MIN_COSINE * distance_sq(place, nearest)
 }
 
