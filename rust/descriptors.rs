@@ -7,18 +7,17 @@
 //! same side; histograms are compared by Hellinger's distance.
 //! Absent on purpose: keypoints; every point of a thinned cloud is described.
 
-use crate::cloud::{Point, centroid, cross, difference, dot};
+use crate::cloud::{Point, cross, difference, dot};
 use crate::error::Result;
-use crate::neighbors::{Neighbor, NeighborIndex};
+use crate::neighbors::{NeighborIndex, Places};
 use crate::normals;
-use crate::parallel;
 use crate::progress::Progress;
 use crate::surface_cloud::SurfaceCloud;
 
 /// Bins for each of the three angles.
 const BINS: usize = 11;
-/// Three histograms, and zeros up to a multiple of four.
-const LENGTH: usize = 36;
+/// Three histograms.
+const LENGTH: usize = 3 * BINS;
 
 /// Square roots of the shares of three histograms, of length 1: the product of two is 1 where the
 /// surroundings are alike.
@@ -50,7 +49,9 @@ impl Described {
         radius_m: f64,
         progress: &Progress<'_>,
     ) -> Result<Self> {
-        let thinned = cloud.one_for_each_cell(voxel_m);
+        // In the order of places: what is described together lies together.
+        let thinned = Places::new(&cloud.one_for_each_cell(voxel_m));
+        let thinned: Vec<Point> = (0..thinned.len()).map(|at| *thinned.point(at)).collect();
         let surfaces =
             normals::estimate_within(&thinned, &cloud.index, normal_radius_m, 3, progress)?;
         let (points, unsigned): (Vec<Point>, Vec<Point>) = thinned
@@ -60,24 +61,18 @@ impl Described {
             .map(|(p, surface)| (*p, surface.normal))
             .unzip();
         let index = NeighborIndex::new(&points);
-        let found = parallel::map_cheap(points.len(), progress, |i| {
-            let mut found: Vec<Neighbor> = Vec::new();
-            index.within(&points[i], radius_m, &mut found);
-            let neighbors: Vec<u32> = found
-                .iter()
-                .map(|n| n.index)
-                .filter(|n| *n as usize != i)
-                .collect();
-            let around: Vec<Point> = found.iter().map(|n| points[n.index as usize]).collect();
-            let normal = towards(unsigned[i], &difference(&centroid(&around), &points[i]));
-            let simple = simple_histogram(&points[i], &normal, &neighbors, &points, &unsigned);
-            (neighbors, normal, simple)
+        let places = index.places();
+        // Neighbours are sought twice: that costs less than to keep them.
+        let simple = index.map_indices_within(&places, radius_m, progress, |i, around| {
+            let normal = towards(unsigned[i], &way_to_middle(&points[i], around, &points));
+            let simple = simple_histogram(&points[i], &normal, around, &points, &unsigned);
+            (normal, simple)
         })?;
-        let descriptors = parallel::map_cheap(points.len(), progress, |i| {
-            blended(i, &points, |j| (&found[j].0, &found[j].2))
+        let descriptors = index.map_indices_within(&places, radius_m, progress, |i, around| {
+            blended(i, &points, around, |j| &simple[j].1)
         })?;
         Ok(Self {
-            normals: found.iter().map(|(_, normal, _)| *normal).collect(),
+            normals: simple.iter().map(|(normal, _)| *normal).collect(),
             points,
             descriptors,
         })
@@ -94,16 +89,44 @@ impl Described {
     }
 }
 
-/// The product of two descriptors: 1 alike, 0 nothing in common.
-#[inline]
-pub fn similarity(a: &Descriptor, b: &Descriptor) -> f32 {
-    let mut sums = [0.0_f32; 4];
-    for (a, b) in a.as_chunks::<4>().0.iter().zip(b.as_chunks::<4>().0) {
-        for lane in 0..4 {
-            sums[lane] += a[lane] * b[lane];
+/// Descriptors that are compared at once.
+pub const SOME: usize = 16;
+
+/// A few descriptors side by side, bin by bin.
+#[derive(Debug, Clone, Copy)]
+pub struct SomeDescriptors([[f32; SOME]; LENGTH]);
+
+impl SomeDescriptors {
+    /// The first [`SOME`] of `descriptors`; where there are fewer, the others are zeros.
+    pub fn new(descriptors: &[Descriptor]) -> Self {
+        let of = |lane: usize, bin: usize| descriptors.get(lane).map_or(0.0, |d| d[bin]);
+        Self(std::array::from_fn(|bin| {
+            std::array::from_fn(|lane| of(lane, bin))
+        }))
+    }
+
+    /// The product of `other` with each of them: 1 alike, 0 nothing in common.
+    #[inline(always)]
+    pub fn similarities(&self, other: &Descriptor) -> [f32; SOME] {
+        let mut sums = [0.0; SOME];
+        for (bins, theirs) in self.0.iter().zip(other) {
+            for lane in 0..SOME {
+                sums[lane] += bins[lane] * theirs;
+            }
+        }
+        sums
+    }
+}
+
+/// From `p` to the middle of what stands round it.
+fn way_to_middle(p: &Point, around: &[u32], points: &[Point]) -> Point {
+    let mut sum = [0.0; 3];
+    for &j in around {
+        for axis in 0..3 {
+            sum[axis] += points[j as usize][axis] - p[axis];
         }
     }
-    (sums[0] + sums[1]) + (sums[2] + sums[3])
+    sum
 }
 
 /// The angles between the normal at `p`, those of its neighbours, and the way there.
@@ -130,23 +153,40 @@ fn simple_histogram(
         let other = towards(unsigned[j as usize], normal);
         let tilt = dot(&v, &other);
         let rise = dot(normal, &way);
-        let turn = dot(&w, &other).atan2(dot(normal, &other)) / std::f64::consts::PI;
-        for (which, value) in [tilt, rise, turn].into_iter().enumerate() {
-            let bin = ((value + 1.0) * 0.5 * BINS as f64) as usize;
+        for (which, value) in [tilt, rise].into_iter().enumerate() {
+            let bin = ((value + 1.0) * 0.5 * BINS as f64) as u32 as usize;
             histogram[which * BINS + bin.min(BINS - 1)] += 1.0;
         }
+        histogram[2 * BINS + bin_of_turn(dot(&w, &other), dot(normal, &other))] += 1.0;
     }
     let n = histogram[..BINS].iter().sum::<f32>().max(1.0);
     histogram.map(|v| v / n)
+}
+
+/// The bin of the angle with that sine and cosine, by a common factor; the cosine is not below 0. Of the bins
+/// over all angles only the middle seven are reached.
+fn bin_of_turn(sine: f64, cosine: f64) -> usize {
+    const FIRST: usize = (BINS - 7) / 2;
+    /// Sine and cosine of π/11, 3π/11 and 5π/11, where one bin ends and another begins.
+    const BORDERS: [[f64; 2]; 3] = [
+        [0.281_732_556_841_429_67, 0.959_492_973_614_497_4],
+        [0.755_749_574_354_258_3, 0.654_860_733_945_285_1],
+        [0.989_821_441_880_932_7, 0.142_314_838_273_285_14],
+    ];
+    let is_beyond = |of: bool| usize::from(of);
+    let beyond = BORDERS
+        .map(|[s, c]| is_beyond(sine * c >= cosine * s) + is_beyond(sine * c >= -cosine * s));
+    FIRST + beyond.iter().sum::<usize>()
 }
 
 /// A point's own histogram and those of its neighbours, the nearer the heavier.
 fn blended<'a>(
     i: usize,
     points: &[Point],
-    of: impl Fn(usize) -> (&'a Vec<u32>, &'a Descriptor),
+    neighbors: &[u32],
+    simple: impl Fn(usize) -> &'a Descriptor,
 ) -> Descriptor {
-    let (neighbors, own) = of(i);
+    let own = simple(i);
     let mut around = [0.0_f32; LENGTH];
     let mut weights = 0.0;
     for &j in neighbors {
@@ -155,7 +195,7 @@ fn blended<'a>(
         if distance > 0.0 {
             let weight = (1.0 / distance) as f32;
             weights += weight;
-            let theirs = of(j as usize).1;
+            let theirs = simple(j as usize);
             for bin in 0..LENGTH {
                 around[bin] += weight * theirs[bin];
             }
@@ -207,6 +247,37 @@ mod tests {
         Described::new(&bumpy(pose), 0.03, 0.04, 0.12, &Progress::silent()).unwrap()
     }
 
+    fn product(a: &Descriptor, b: &Descriptor) -> f32 {
+        a.iter().zip(b).map(|(a, b)| a * b).sum()
+    }
+
+    #[test]
+    fn some_are_compared_as_one_by_one() {
+        let descriptors = described(&Rigid::identity()).descriptors;
+        let (some, few) = (&descriptors[..SOME], &descriptors[..5]);
+        let one = &descriptors[40];
+        let expected: Vec<f32> = some.iter().map(|other| product(one, other)).collect();
+        assert_eq!(
+            SomeDescriptors::new(some).similarities(one).as_slice(),
+            expected
+        );
+        let found = SomeDescriptors::new(few).similarities(one);
+        assert_eq!(
+            (&found[..5], &found[5..]),
+            (&expected[..5], &[0.0; SOME - 5][..])
+        );
+    }
+
+    #[test]
+    fn the_bin_of_a_turn_is_that_of_its_angle() {
+        for i in 0..500 {
+            let turn = f64::from(i) / 499.0 - 0.5;
+            let (sine, cosine) = (turn * std::f64::consts::PI).sin_cos();
+            let bin = ((turn + 1.0) * 0.5 * BINS as f64) as usize;
+            assert_eq!(bin_of_turn(3.0 * sine, 3.0 * cosine), bin, "{turn}");
+        }
+    }
+
     #[test]
     fn a_place_looks_the_same_however_the_cloud_is_turned_and_unlike_other_places() {
         let turn = Rigid::from_euler([0.4, -1.0, 2.0], [30.0, -4.0, 2.0]);
@@ -220,7 +291,7 @@ mod tests {
             let Some(same) = index.nearest_within(&place, 0.01_f64.powi(2)) else {
                 continue;
             };
-            let look = |j: usize| similarity(&still.descriptors[i], &turned.descriptors[j]);
+            let look = |j: usize| product(&still.descriptors[i], &turned.descriptors[j]);
             alike.push(look(same.index as usize));
             unlike.push(look((same.index as usize + 311) % turned.len()));
         }
@@ -234,7 +305,7 @@ mod tests {
     fn descriptors_have_length_one_and_normals_point_to_the_hollow_side() {
         let found = described(&Rigid::identity());
         for descriptor in &found.descriptors {
-            assert!((similarity(descriptor, descriptor) - 1.0).abs() < 1e-5);
+            assert!((product(descriptor, descriptor) - 1.0).abs() < 1e-5);
         }
         // On a bowl that opens upwards every normal points up.
         let bowl: Vec<Point> = (0..2500)

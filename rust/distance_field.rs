@@ -92,9 +92,9 @@ impl NearestGrid {
     #[inline]
     pub(crate) fn index_of_nearest(&self, query: &Point) -> u32 {
         let cell: [usize; 3] = std::array::from_fn(|axis| {
-            // The cast saturates: negative and NaN become 0.
-            let i = ((query[axis] - self.low[axis]) * self.cells_per_m) as usize;
-            i.min(self.size[axis] - 1)
+            // The cast saturates, negative and NaN become 0; to u32, because the machine does that at once.
+            let i = ((query[axis] - self.low[axis]) * self.cells_per_m) as u32;
+            (i as usize).min(self.size[axis] - 1)
         });
         self.nearest[self.at(cell)]
     }

@@ -142,7 +142,7 @@ pub fn agreement<P: FindsPartner + Sync>(
                 count.add(pair.weight);
                 let own = pose.scale * moving.0.cloud.surfaces[pair.from].roughness_m;
                 let theirs = fixed.0.cloud.surfaces[pair.to].roughness_m;
-                apart.add(pair.off_plane, own.hypot(theirs));
+                apart.add(pair.off_plane, own * own + theirs * theirs);
             });
             count.n_conflicts = n_conflicts(moving.0, fixed, pose, tolerance.distance_m);
             let misfit = apart.ratio(LEAST_ROUGHNESS * tolerance.distance_m);
@@ -192,13 +192,14 @@ const LEAST_ROUGHNESS: f64 = 0.004;
 #[derive(Default)]
 struct Misfit {
     apart: Vec<f64>,
-    rough: Vec<f64>,
+    /// Squared.
+    rough_sq: Vec<f64>,
 }
 
 impl Misfit {
-    fn add(&mut self, apart: f64, rough: f64) {
+    fn add(&mut self, apart: f64, rough_sq: f64) {
         self.apart.push(apart);
-        self.rough.push(rough);
+        self.rough_sq.push(rough_sq);
     }
 
     /// Median by median.
@@ -208,7 +209,7 @@ impl Misfit {
         if self.apart.len() < LEAST_PAIRS {
             return f64::NAN;
         }
-        median(&mut self.apart) / median(&mut self.rough).max(least_roughness)
+        median(&mut self.apart) / median(&mut self.rough_sq).sqrt().max(least_roughness)
     }
 }
 

@@ -18,11 +18,11 @@ use crate::vectorize::widest;
 const NOBODY: u32 = u32::MAX;
 /// Cells along the edge of a block.
 const EDGE: usize = 8;
-const CELLS: usize = EDGE * EDGE * EDGE;
+const ROWS: usize = EDGE * EDGE;
 /// A cell whose centre is this many cells from a point may still hold a query at the reach.
 const HALF_DIAGONAL: f64 = 0.867;
 
-type Block = Option<Box<[u32; CELLS]>>;
+type Block = Option<Box<[[u32; EDGE]; ROWS]>>;
 
 /// Nearest points within a short reach of a cloud.
 ///
@@ -101,13 +101,14 @@ impl NearField {
             if !(at >= 0.0 && at < (self.n_blocks[axis] * EDGE) as f64) {
                 return None;
             }
-            let at = at as usize;
+            // By way of u32, to which the machine converts at once.
+            let at = at as u32 as usize;
             block = block * self.n_blocks[axis] + at / EDGE;
             cell = cell * EDGE + at % EDGE;
         }
         let nearest = self.blocks[block]
             .get_or_init(|| self.fill(block))
-            .as_ref()?[cell];
+            .as_ref()?[cell / EDGE][cell % EDGE];
         if nearest == NOBODY {
             return None;
         }
@@ -151,8 +152,8 @@ impl NearField {
     /// The nearest point to the centre of every cell of a block.
     fn fill(&self, block: usize) -> Block {
         let reach = self.reach_cells as f32;
-        let mut best_sq = [reach * reach; CELLS];
-        let mut nearest = [NOBODY; CELLS];
+        let mut best_sq = [[reach * reach; EDGE]; ROWS];
+        let mut nearest = [[NOBODY; EDGE]; ROWS];
         let round_about = self.round_about(block);
         widest(
             #[inline(always)]
@@ -167,10 +168,8 @@ impl NearField {
                 }
             },
         );
-        nearest
-            .iter()
-            .any(|i| *i != NOBODY)
-            .then(|| Box::new(nearest))
+        let is_near = |i: &u32| *i != NOBODY;
+        (nearest.as_flattened().iter().any(is_near)).then(|| Box::new(nearest))
     }
 
     /// A block and those that touch it: how many cells away each begins, and its points.
@@ -203,7 +202,13 @@ struct Member {
 
 /// Enters a point into every cell of a block that it is nearer to than those before it.
 #[inline(always)]
-fn stamp(p: [f32; 3], i: u32, reach: f32, best_sq: &mut [f32; CELLS], nearest: &mut [u32; CELLS]) {
+fn stamp(
+    p: [f32; 3],
+    i: u32,
+    reach: f32,
+    best_sq: &mut [[f32; EDGE]; ROWS],
+    nearest: &mut [[u32; EDGE]; ROWS],
+) {
     const LAST: f32 = EDGE as f32 - 1.0;
     if p.iter().any(|v| *v < -reach || *v > LAST + reach) {
         return;
@@ -222,15 +227,16 @@ fn stamp(p: [f32; 3], i: u32, reach: f32, best_sq: &mut [f32; CELLS], nearest: &
             if across_sq > reach_sq {
                 continue;
             }
-            let row = (z * EDGE + y) * EDGE;
-            let best_sq = &mut best_sq[row..row + EDGE];
-            let nearest = &mut nearest[row..row + EDGE];
+            let row = z * EDGE + y;
+            // Whole rows in and out of the registers: so the machine's vectors are used.
+            let (mut row_sq, mut row_nearest) = (best_sq[row], nearest[row]);
             for x in 0..EDGE {
                 let distance_sq = across_sq + xs_sq[x];
-                let nearer = distance_sq < best_sq[x];
-                best_sq[x] = if nearer { distance_sq } else { best_sq[x] };
-                nearest[x] = if nearer { i } else { nearest[x] };
+                let nearer = distance_sq < row_sq[x];
+                row_sq[x] = if nearer { distance_sq } else { row_sq[x] };
+                row_nearest[x] = if nearer { i } else { row_nearest[x] };
             }
+            (best_sq[row], nearest[row]) = (row_sq, row_nearest);
         }
     }
 }

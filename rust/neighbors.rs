@@ -336,6 +336,28 @@ impl NeighborIndex {
         )
     }
 
+    /// What `answer` makes of the indices of the points at most `radius_m` from each of `places`, told also which
+    /// place it is; indices and results in the orders of [`NeighborIndex::map_within`].
+    pub(crate) fn map_indices_within<T: Copy + Send + Sync>(
+        &self,
+        places: &Places,
+        radius_m: f64,
+        progress: &Progress<'_>,
+        answer: impl Fn(usize, &[u32]) -> T + Sync + Send,
+    ) -> Result<Vec<T>> {
+        self.tree.ask_all(
+            places,
+            progress,
+            || (Vec::new(), std::array::from_fn(|_| Within::default())),
+            |_, within, _| within.restart(radius_m),
+            |indices, within, at| {
+                indices.clear();
+                indices.extend(within.found.iter().map(|held| held.index));
+                answer(places.given(at), indices)
+            },
+        )
+    }
+
     /// Where the points that were found stand: in the tree they lie side by side.
     fn points_at<'a>(&self, found: &[Held], points: &'a mut Vec<Point>) -> &'a [Point] {
         points.clear();

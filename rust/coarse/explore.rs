@@ -54,6 +54,13 @@ pub(super) struct Descents {
 }
 
 impl Descents {
+    pub(super) fn of_fewest(freedom: Freedom) -> Self {
+        Self {
+            freedom,
+            n_shortlist: 75,
+        }
+    }
+
     pub(super) fn of_few(freedom: Freedom) -> Self {
         Self {
             freedom,

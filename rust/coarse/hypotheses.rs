@@ -7,7 +7,7 @@
 //! (2022, second-order measure); ours in its details.
 
 use crate::cloud::{Point, distance_sq};
-use crate::descriptors::{Described, Descriptor, similarity};
+use crate::descriptors::{Described, Descriptor, SOME, SomeDescriptors};
 use crate::error::Result;
 use crate::freedom::Freedom;
 use crate::kabsch::PairSums;
@@ -15,6 +15,7 @@ use crate::parallel;
 use crate::progress::Progress;
 use crate::rigid::Rigid;
 use crate::surface_cloud::SurfaceCloud;
+use crate::vectorize::widest;
 
 use super::differ_rigid;
 
@@ -128,23 +129,34 @@ const PART: usize = 512;
 type MostSimilar = (f32, u32);
 const NOBODY: MostSimilar = (f32::NEG_INFINITY, u32::MAX);
 
-/// For each of either side the most similar of the other, in blocks that stay in the cache.
+/// For each of either side the most similar of the other; of equals the first.
 fn most_similar(a: &[Descriptor], b: &[Descriptor]) -> (Vec<MostSimilar>, Vec<MostSimilar>) {
-    const BLOCK: usize = 128;
     let (mut of_a, mut of_b) = (vec![NOBODY; a.len()], vec![NOBODY; b.len()]);
-    for (block, (b, of_b)) in b.chunks(BLOCK).zip(of_b.chunks_mut(BLOCK)).enumerate() {
-        for (i, (a, of_a)) in (0_u32..).zip(a.iter().zip(&mut of_a)) {
-            for (j, (b, of_b)) in b.iter().zip(of_b.iter_mut()).enumerate() {
-                let score = similarity(a, b);
-                if score > of_a.0 {
-                    *of_a = (score, (block * BLOCK + j) as u32);
+    widest(
+        #[inline(always)]
+        || {
+            for (block, (b, of_b)) in b.chunks(SOME).zip(of_b.chunks_mut(SOME)).enumerate() {
+                let some = SomeDescriptors::new(b);
+                let (mut most, mut who) = ([f32::NEG_INFINITY; SOME], [u32::MAX; SOME]);
+                for (i, (a, of_a)) in (0_u32..).zip(a.iter().zip(&mut of_a)) {
+                    let scores = some.similarities(a);
+                    for lane in 0..SOME {
+                        let is_more = scores[lane] > most[lane];
+                        most[lane] = if is_more { scores[lane] } else { most[lane] };
+                        who[lane] = if is_more { i } else { who[lane] };
+                    }
+                    let greatest = scores[..b.len()].iter().copied().fold(of_a.0, f32::max);
+                    if greatest > of_a.0 {
+                        let lane = scores.iter().position(|score| *score == greatest);
+                        *of_a = (greatest, (block * SOME + lane.unwrap_or(0)) as u32);
+                    }
                 }
-                if score > of_b.0 {
-                    *of_b = (score, i);
+                for (of_b, most) in of_b.iter_mut().zip(most.into_iter().zip(who)) {
+                    *of_b = most;
                 }
             }
-        }
-    }
+        },
+    );
     (of_a, of_b)
 }
 

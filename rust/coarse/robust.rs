@@ -29,6 +29,8 @@ pub(crate) const WITNESS_RADIUS: f64 = 0.035;
 /// Starts round a pose that is known.
 const N_NEAR_KNOWN: usize = 64;
 
+/// Rounds that cost little.
+const FEW_ROUNDS: usize = 2;
 /// Early rounds look at this share of the poses of the others.
 const EARLY: usize = 4;
 /// After early rounds, which have met few rivals, the best pose must stand out by more, also from itself turned.
@@ -76,7 +78,9 @@ impl StandingOut {
 /// Where the poses of a round come from.
 #[derive(Debug, Clone, Copy)]
 enum Round {
-    /// So many rotations times the places where the moving cloud may belong.
+    /// So many rotations times a few of the places where the moving cloud may belong.
+    Brief { n_rotations: usize },
+    /// So many rotations times all of those places.
     Starts { index: usize, n_rotations: usize },
     /// Points whose surroundings look alike.
     Descriptors,
@@ -93,19 +97,27 @@ impl Round {
 }
 
 /// Few starts find most poses. Where they do not, yaws cost less than descriptors, and these less than more
-/// starts of all that is free.
-fn rounds(options: &RobustSearchOptions, freedom: Freedom) -> Vec<Round> {
+/// starts of all that is free; among many places they cost less than any starts.
+fn rounds(options: &RobustSearchOptions, freedom: Freedom, n_places: usize) -> Vec<Round> {
+    /// From so many places on descriptors come first.
+    const MANY_PLACES: usize = 200;
     let counts = options.rotations_per_round.iter().enumerate();
     let mut rounds: Vec<Round> = counts
         .map(|(index, &n_rotations)| Round::Starts { index, n_rotations })
         .collect();
     let is_levelled = freedom == Freedom::Levelled;
-    if options.descriptors {
-        let at = if is_levelled { 2 } else { 1 };
-        rounds.insert(at.min(rounds.len()), Round::Descriptors);
-    }
     if let (Some(&n_rotations), false) = (options.rotations_per_round.get(1), is_levelled) {
         rounds.insert(1, Round::Upright { n_rotations });
+    }
+    if let Some(&n_rotations) = options.rotations_per_round.first() {
+        rounds.insert(0, Round::Brief { n_rotations });
+    }
+    if options.descriptors {
+        let at = match is_levelled {
+            false if n_places >= MANY_PLACES => 0,
+            _ => 3,
+        };
+        rounds.insert(at.min(rounds.len()), Round::Descriptors);
     }
     rounds
 }
@@ -143,7 +155,7 @@ pub fn search_robust(
     search_asking(problem, options, enough, deadline, seed, goes_on, progress)
 }
 
-/// [`search_robust`], which asks before it searches widely, where that is needed: that costs most, and other
+/// [`search_robust`], which asks after a few rounds, where more are needed: these cost most, and other
 /// clouds may be better searched. On a break it ends there.
 pub(crate) fn search_asking(
     problem: &Problem<'_>,
@@ -151,7 +163,7 @@ pub(crate) fn search_asking(
     enough: StandingOut,
     deadline: Deadline,
     seed: u64,
-    before_wide: impl FnOnce() -> Result<ControlFlow<()>>,
+    before_many: impl FnOnce() -> Result<ControlFlow<()>>,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
     options.check()?;
@@ -163,7 +175,8 @@ pub(crate) fn search_asking(
         (problem.target, problem.source)
     };
     let explorer = Explorer::new(&moving.cloud, &fixed.cloud, unit_m)?;
-    let (few, many) = (
+    let (brief, few, many) = (
+        Descents::of_fewest(problem.freedom),
         Descents::of_few(problem.freedom),
         Descents::of_many(problem.freedom),
     );
@@ -219,24 +232,27 @@ pub(crate) fn search_asking(
     let as_given =
         Rigid::identity().between_local_coordinates(moving.cloud.origin, fixed.cloud.origin);
     let mut given = vec![as_given, Rigid::identity()];
-    let rounds = rounds(options, problem.freedom);
-    let mut before_wide = Some(before_wide);
+    let n_places = starts::n_places(&fixed.cloud, unit_m);
+    let rounds = rounds(options, problem.freedom, n_places);
+    let mut before_many = Some(before_many);
     let mut has_met_rivals = false;
     for (i, round) in rounds.iter().enumerate() {
         if stands_out || (n_rounds > 0 && deadline.is_over()) {
             break;
         }
-        let meets_rivals = round.is_wide() || i + 1 == rounds.len();
-        if meets_rivals
-            && n_rounds > 0
-            && let Some(before_wide) = before_wide.take()
-            && before_wide()?.is_break()
+        if n_rounds == FEW_ROUNDS
+            && let Some(before_many) = before_many.take()
+            && before_many()?.is_break()
         {
             break;
         }
         n_rounds += 1;
-        has_met_rivals |= meets_rivals;
+        has_met_rivals |= round.is_wide() || i + 1 == rounds.len();
         let found = match *round {
+            Round::Brief { n_rotations } => {
+                let starts = Starts::few(&fixed.cloud, unit_m, problem.freedom, n_rotations, seed);
+                run_down(&starts, brief, n_early / 2)?
+            }
             Round::Starts { index, n_rotations } => {
                 let which = (index, n_rotations);
                 let starts = Starts::new(&fixed.cloud, unit_m, problem.freedom, which, seed);
@@ -255,14 +271,18 @@ pub(crate) fn search_asking(
                 let (moving, fixed) = (&moving.cloud, &fixed.cloud);
                 let proposed =
                     hypotheses::propose(moving, fixed, unit_m, problem.freedom, progress)?;
-                proposed.iter().take(n_early).map(|h| h.pose).collect()
+                let n_taken = match i {
+                    0 => options.n_verified / 2,
+                    _ => n_early,
+                };
+                proposed.iter().take(n_taken).map(|h| h.pose).collect()
             }
         };
         let n_certain = given.len();
         let poses = [std::mem::take(&mut given), found].concat();
         let freedom = match round {
             Round::Upright { .. } => Freedom::Levelled,
-            Round::Starts { .. } | Round::Descriptors => problem.freedom,
+            Round::Brief { .. } | Round::Starts { .. } | Round::Descriptors => problem.freedom,
         };
         verifier.look_at(&poses, n_certain, freedom, deadline, progress)?;
         if has_met_rivals {
@@ -273,7 +293,7 @@ pub(crate) fn search_asking(
         let wanted = enough.early();
         if let Some(best) = verifier.standing_out(wanted) {
             let starts = Starts::turned(&best, unit_m, problem.freedom, seed);
-            let turned = run_down(&starts, few, n_early)?;
+            let turned = run_down(&starts, brief, n_early)?;
             verifier.look_at(&turned, 0, problem.freedom, deadline, progress)?;
             stands_out = verifier.stands_out(wanted, n_early, deadline, progress)?;
         }
@@ -323,10 +343,11 @@ mod tests {
 
     #[test]
     fn what_costs_more_is_tried_later() {
-        let kinds = |freedom| -> Vec<&str> {
-            rounds(&RobustSearchOptions::default(), freedom)
+        let kinds = |freedom, n_places| -> Vec<&str> {
+            rounds(&RobustSearchOptions::default(), freedom, n_places)
                 .iter()
                 .map(|round| match round {
+                    Round::Brief { .. } => "brief",
                     Round::Starts { .. } if round.is_wide() => "wide",
                     Round::Starts { .. } => "starts",
                     Round::Upright { .. } => "upright",
@@ -334,15 +355,19 @@ mod tests {
                 })
                 .collect()
         };
-        let of_all = ["starts", "upright", "descriptors", "wide"];
-        assert_eq!(kinds(Freedom::Rigid), of_all);
-        assert_eq!(kinds(Freedom::Similarity), of_all);
-        assert_eq!(kinds(Freedom::Levelled), ["starts", "wide", "descriptors"]);
+        let of_all = ["brief", "starts", "upright", "descriptors", "wide"];
+        assert_eq!(kinds(Freedom::Rigid, 30), of_all);
+        assert_eq!(kinds(Freedom::Similarity, 30), of_all);
+        let among_many = ["descriptors", "brief", "starts", "upright", "wide"];
+        assert_eq!(kinds(Freedom::Rigid, 300), among_many);
+        let levelled = ["brief", "starts", "wide", "descriptors"];
+        assert_eq!(kinds(Freedom::Levelled, 30), levelled);
+        assert_eq!(kinds(Freedom::Levelled, 300), levelled);
         let brief = RobustSearchOptions {
             rotations_per_round: vec![60],
             ..RobustSearchOptions::default()
         };
-        assert_eq!(rounds(&brief, Freedom::Rigid).len(), 2);
+        assert_eq!(rounds(&brief, Freedom::Rigid, 30).len(), 3);
     }
 
     #[test]

@@ -20,6 +20,8 @@ const JITTER: f64 = 0.05;
 const N_TURNS: usize = 60;
 const STARTS_A_TURN: usize = 4;
 const JITTER_OF_TURNED: f64 = 0.1;
+/// One in so many places, where few are enough.
+const FEW: usize = 4;
 /// Points of the fixed cloud from which places are derived.
 const N_PLACES_FROM: usize = 4000;
 
@@ -32,6 +34,12 @@ pub(super) struct Starts {
     purpose: &'static str,
     round: u64,
     seed: u64,
+}
+
+/// How many places of the fixed cloud the first rounds start at.
+pub(super) fn n_places(fixed: &SurfaceCloud, unit_m: f64) -> usize {
+    let sample = fixed.sample(N_PLACES_FROM);
+    anchors(sample, PITCH[0] * unit_m, REACH * unit_m).len()
 }
 
 impl Starts {
@@ -53,6 +61,22 @@ impl Starts {
             purpose: "jitter",
             round: round as u64,
             seed,
+        }
+    }
+
+    /// The same at one in [`FEW`] of those places.
+    pub(super) fn few(
+        fixed: &SurfaceCloud,
+        unit_m: f64,
+        freedom: Freedom,
+        n_rotations: usize,
+        seed: u64,
+    ) -> Self {
+        let all = Self::new(fixed, unit_m, freedom, (0, n_rotations), seed);
+        Self {
+            places: all.places.into_iter().step_by(FEW).collect(),
+            purpose: "jitter of few",
+            ..all
         }
     }
 

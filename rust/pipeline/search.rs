@@ -60,7 +60,7 @@ pub(super) fn search(
     search_asking(prepared, config, deadline, goes_on, progress)
 }
 
-/// The same, and between these clouds without strays: before the search goes wide where there are many,
+/// The same, and between these clouds without strays: before the search becomes long where there are many,
 /// else where nothing stands out after all. With the clouds of the better answer.
 pub(super) fn search_also_without_strays(
     prepared: Prepared,
@@ -136,12 +136,12 @@ fn search_without_strays(
     Ok(found)
 }
 
-/// The robust search, which asks before it goes wide.
+/// The robust search, which asks before it searches for long.
 fn search_asking(
     prepared: &Prepared,
     config: &Config,
     deadline: Deadline,
-    before_wide: impl FnOnce() -> Result<ControlFlow<()>>,
+    before_many: impl FnOnce() -> Result<ControlFlow<()>>,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
     let (angle_rad, shift_m) = (SLACK_RAD, SLACK * prepared.unit_m);
@@ -159,7 +159,7 @@ fn search_asking(
         enough(config),
         deadline,
         config.seed,
-        before_wide,
+        before_many,
         progress,
     )
 }
