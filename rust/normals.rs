@@ -39,6 +39,25 @@ impl Surface {
         curvature: 0.0,
         roughness_m: 0.0,
     };
+
+    /// The same in a mirror across x.
+    pub fn mirrored(&self) -> Self {
+        let [x, y, z] = self.normal;
+        Self {
+            normal: with_largest_positive([-x, y, z]),
+            ..*self
+        }
+    }
+}
+
+/// A normal or its opposite: that whose largest component is positive.
+fn with_largest_positive(normal: Point) -> Point {
+    let larger = |largest: f64, v: &f64| if v.abs() > largest.abs() { *v } else { largest };
+    let largest = normal.iter().fold(0.0, larger);
+    match largest < 0.0 {
+        true => normal.map(|v| -v),
+        false => normal,
+    }
 }
 
 /// The surface at each of `points` from the `k` points of `index` nearest to it (itself included,
@@ -120,12 +139,8 @@ fn surface_through(points: &[Point]) -> Surface {
             (vectors[2], lambda[2].max(0.0))
         }
     };
-    let largest = normal.iter().fold(
-        0.0,
-        |largest: f64, v| if v.abs() > largest.abs() { *v } else { largest },
-    );
     Surface {
-        normal: normal.map(|v| v * largest.signum()),
+        normal: with_largest_positive(normal),
         curvature: least / scatter.trace(),
         roughness_m: (least / points.len() as f64).sqrt(),
     }

@@ -130,14 +130,10 @@ fn route(
             // At another scale there may be a pose.
             Err(Error::NoSolution { .. }) if config.dof == Freedom::Similarity => continue,
             Err(Error::NoSolution { reason }) if config.mode == Mode::Robust => {
-                let doubts = doubts::doubts(
-                    &source_cleaned,
-                    &target_cleaned,
-                    0.0,
-                    &config,
-                    deadline,
-                    progress,
-                )?;
+                let clouds = [&source_cleaned, &target_cleaned];
+                let quiet = progress.quietly();
+                let prepared = Prepared::new(clouds[0], clouds[1], scale, &config, &quiet)?;
+                let doubts = doubts::doubts(&prepared, clouds, 0.0, &config, deadline, progress)?;
                 let reason = [vec![reason], doubts].concat().join("; ");
                 return Err(Error::NoSolution { reason });
             }
@@ -280,8 +276,8 @@ fn route(
         judgement.verdict == Verdict::Accepted && found.ambiguity_ratio > CLEAR_AMBIGUITY_RATIO;
     if !is_clear && config.mode == Mode::Robust {
         let doubts = doubts::doubts(
-            &source_cleaned,
-            &target_cleaned,
+            &prepared,
+            [&source_cleaned, &target_cleaned],
             search::merit(&found),
             &config,
             deadline,

@@ -51,6 +51,20 @@ impl SurfaceCloud {
         })
     }
 
+    /// The same in a mirror across x through the origin, where it stays.
+    pub fn mirrored(&self) -> Self {
+        let mirror = |p: &Point| [-p[0], p[1], p[2]];
+        let points: Vec<Point> = self.points().iter().map(mirror).collect();
+        let (low, high) = bounds(&points);
+        Self {
+            origin: self.origin,
+            surfaces: self.surfaces.iter().map(Surface::mirrored).collect(),
+            index: NeighborIndex::new(&points),
+            low,
+            high,
+        }
+    }
+
     /// The points, relative to the origin.
     pub fn points(&self) -> &[Point] {
         self.index.points()
@@ -87,5 +101,36 @@ impl SurfaceCloud {
         (0..3).all(|axis| {
             p[axis] >= self.low[axis] - margin_m && p[axis] <= self.high[axis] + margin_m
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloud::dot;
+
+    #[test]
+    fn a_mirrored_cloud_is_the_cloud_of_mirrored_points() {
+        let mut stream = Stream::new(1, "mirror", 0);
+        let points: Vec<Point> = (0..500)
+            .map(|_| [stream.uniform(), stream.uniform()])
+            .map(|[x, y]| [40.0 + x, y, 0.3 * (9.0 * x).sin() * (7.0 * y).cos()])
+            .collect();
+        let of = |points: &[Point]| {
+            let cloud = Cloud::new(points).unwrap();
+            SurfaceCloud::new(&cloud, 7, &Progress::silent()).unwrap()
+        };
+        let mirrored = of(&points).mirrored();
+        let points: Vec<Point> = points.iter().map(|p| [-p[0], p[1], p[2]]).collect();
+        let expected = of(&points);
+        for i in 0..points.len() {
+            let (p, q) = (&mirrored.points()[i], &expected.points()[i]);
+            assert!((0..3).all(|axis| (p[axis] - q[axis]).abs() < 1e-12));
+            let (a, b) = (&mirrored.surfaces[i], &expected.surfaces[i]);
+            assert!(dot(&a.normal, &b.normal) > 1.0 - 1e-9);
+            assert!((a.curvature - b.curvature).abs() < 1e-9);
+        }
+        let corner = expected.points()[3];
+        assert!(mirrored.is_near_box(&corner, 1e-9) && !mirrored.is_near_box(&[2.0; 3], 0.1));
     }
 }

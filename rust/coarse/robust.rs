@@ -109,15 +109,18 @@ fn rounds(options: &RobustSearchOptions, freedom: Freedom, n_places: usize) -> V
     if let (Some(&n_rotations), false) = (options.rotations_per_round.get(1), is_levelled) {
         rounds.insert(1, Round::Upright { n_rotations });
     }
-    if let Some(&n_rotations) = options.rotations_per_round.first() {
+    // It may spare a long search, not a short one.
+    if let [n_rotations, _, ..] = options.rotations_per_round[..] {
         rounds.insert(0, Round::Brief { n_rotations });
     }
     if options.descriptors {
+        let (is_wide, last) = (Round::is_wide, rounds.len());
         let at = match is_levelled {
+            true => last,
             false if n_places >= MANY_PLACES => 0,
-            _ => 3,
+            false => rounds.iter().position(is_wide).unwrap_or(last),
         };
-        rounds.insert(at.min(rounds.len()), Round::Descriptors);
+        rounds.insert(at, Round::Descriptors);
     }
     rounds
 }
@@ -367,7 +370,7 @@ mod tests {
             rotations_per_round: vec![60],
             ..RobustSearchOptions::default()
         };
-        assert_eq!(rounds(&brief, Freedom::Rigid, 30).len(), 3);
+        assert_eq!(rounds(&brief, Freedom::Rigid, 30).len(), 2);
     }
 
     #[test]

@@ -66,6 +66,15 @@ impl Witnesses {
         Ok([first?, second?])
     }
 
+    /// The same in a mirror.
+    pub fn mirrored(&self) -> Self {
+        Self {
+            cloud: self.cloud.mirrored(),
+            weights: self.weights.clone(),
+            ..*self
+        }
+    }
+
     /// Number of witnesses.
     pub fn len(&self) -> usize {
         self.n_witnesses

@@ -5,14 +5,13 @@
 
 use super::prepare::Prepared;
 use super::search;
-use crate::cloud::{Cloud, Point};
+use crate::cloud::Cloud;
 use crate::config::Config;
 use crate::deadline::Deadline;
 use crate::error::{Error, Result};
+use crate::fitness::Witnesses;
 use crate::freedom::Freedom;
-use crate::observations::Observations;
 use crate::progress::Progress;
-use crate::registration::StageLog;
 
 /// Factors between units that are mixed up: metres and millimetres, metres and feet.
 const UNITS: [(f64, &str); 4] = [
@@ -34,30 +33,24 @@ const UNITS: [(f64, &str); 4] = [
     ),
 ];
 
-/// Sentences about the source, each tried and found to fit better than a pose of that merit.
+/// Sentences about the source, each tried and found to fit better than a pose of that merit between the
+/// clouds as they were `prepared`.
 pub(super) fn doubts(
-    source: &Cloud,
-    target: &Cloud,
+    prepared: &Prepared,
+    [source, target]: [&Cloud; 2],
     merit: f64,
     config: &Config,
     deadline: Deadline,
     progress: &Progress<'_>,
 ) -> Result<Vec<String>> {
     let mut found = Vec::new();
-    // One round, from nothing. Lengths that were set belong to the unit that was set.
-    let mut brief = config.clone();
-    brief.dof = Freedom::Rigid;
-    brief.known = Observations::default();
-    brief.voxel.voxel_size_m = None;
-    brief.coarse.rotations_per_round.truncate(1);
     let quiet = progress.quietly();
-    let fits = |source: &Cloud, scale: f64| -> Result<bool> {
+    let brief = briefly(config);
+    let fits = |source: &Witnesses, target: &Witnesses, unit_m: f64| -> Result<bool> {
         if deadline.is_over() {
             return Ok(false);
         }
-        let prepared = Prepared::new(source, target, scale, &brief, &quiet)?;
-        let mut log = StageLog::new(&quiet);
-        match search::search(&prepared, &brief, deadline, &mut log, &quiet) {
+        match search::search_from_nothing([source, target], unit_m, &brief, deadline, &quiet) {
             Ok(found) => {
                 let stands_out = found.stands_out(search::enough(&brief));
                 Ok(stands_out && search::merit(&found) > merit)
@@ -66,8 +59,11 @@ pub(super) fn doubts(
             Err(other) => Err(other),
         }
     };
-    let mirrored = mirrored(source);
-    if fits(&mirrored, 1.0)? {
+    if fits(
+        &prepared.source.mirrored(),
+        &prepared.target,
+        prepared.unit_m,
+    )? {
         found.push(
             "the source fits well when mirrored: two axes are swapped, or one has the wrong sign"
                 .to_owned(),
@@ -77,7 +73,11 @@ pub(super) fn doubts(
     for (scale, words) in UNITS {
         // Only a unit that brings the sizes together explains anything.
         let explains = (sizes - scale.ln()).abs() < 0.5 * sizes.abs();
-        if config.dof != Freedom::Similarity && explains && fits(source, scale)? {
+        if config.dof == Freedom::Similarity || !explains || deadline.is_over() {
+            continue;
+        }
+        let scaled = Prepared::new(source, target, scale, &brief, &quiet)?;
+        if fits(&scaled.source, &scaled.target, scaled.unit_m)? {
             found.push(format!(
                 "the source {words}: in the other unit it fits well"
             ));
@@ -86,8 +86,11 @@ pub(super) fn doubts(
     Ok(found)
 }
 
-fn mirrored(cloud: &Cloud) -> Cloud {
-    let mirror = |p: &Point| [-p[0], p[1], p[2]];
-    let points = cloud.points().iter().map(mirror).collect();
-    Cloud::from_local(mirror(&cloud.origin()), points)
+/// One round, from nothing. Lengths that were set belong to the unit that was set.
+fn briefly(config: &Config) -> Config {
+    let mut brief = config.clone();
+    brief.dof = Freedom::Rigid;
+    brief.voxel.voxel_size_m = None;
+    brief.coarse.rotations_per_round.truncate(1);
+    brief
 }

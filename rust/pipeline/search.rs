@@ -8,9 +8,11 @@ use crate::coarse::{self, CoarseResult, Problem, StandingOut};
 use crate::config::{Config, Mode};
 use crate::deadline::Deadline;
 use crate::error::{Error, Result};
+use crate::fitness::Witnesses;
 use crate::freedom::Freedom;
 use crate::keypoints::{self, RADIUS_IN_VOXELS};
 use crate::neighbors::NeighborIndex;
+use crate::observations::Observations;
 use crate::progress::{Progress, Stage};
 use crate::registration::StageLog;
 
@@ -160,6 +162,33 @@ fn search_asking(
         deadline,
         config.seed,
         before_many,
+        progress,
+    )
+}
+
+/// The robust search of a source in a target, where nothing is known of the pose.
+pub(super) fn search_from_nothing(
+    [source, target]: [&Witnesses; 2],
+    unit_m: f64,
+    config: &Config,
+    deadline: Deadline,
+    progress: &Progress<'_>,
+) -> Result<CoarseResult> {
+    let known = Observations::default().about([0.0; 3], [0.0; 3])?;
+    let problem = Problem {
+        source,
+        target,
+        unit_m,
+        freedom: config.dof,
+        known: &known,
+    };
+    let options = &config.coarse;
+    coarse::search_robust(
+        &problem,
+        options,
+        enough(config),
+        deadline,
+        config.seed,
         progress,
     )
 }
