@@ -96,11 +96,13 @@ class RobustSearchOptions:
     Parameters
     ----------
     rotations_per_round : tuple of int, optional
-        Rotations tried in each round; a further round is begun only while no pose stands out.
+        Rotations tried in each round; a further round is begun only while no pose stands out. Before several
+        rounds there is a brief one, of the first one's rotations at a quarter of its places.
     n_verified : int, optional
         Poses of each round that are refined and verified, at least 1.
     descriptors : bool, optional
-        Propose poses by descriptors of the surface as well, in a round of its own after the first.
+        Propose poses by descriptors of the surface as well, in a round of its own: the first where one cloud is
+        much larger than the other, else before the last.
     max_seconds : float, optional
         Seconds from the beginning of the registration, above 0, after which the search hands over the best
         pose so far. No limit where not given. What is found then depends on the machine.

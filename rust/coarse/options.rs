@@ -9,11 +9,13 @@ use crate::error::{Result, require_count, require_positive};
 #[serde(deny_unknown_fields, default)]
 pub struct RobustSearchOptions {
     /// Rotations of each round; the next round is only begun while the best pose does not stand
-    /// out. At least one round of at least one rotation; places lie closer together from the third on.
+    /// out. At least one round of at least one rotation; places lie closer together from the third on. Before
+    /// several rounds there is a brief one, of the first one's rotations at a quarter of its places.
     pub rotations_per_round: Vec<usize>,
     /// Poses of each round that are refined and verified; at least 1.
     pub n_verified: usize,
-    /// Whether poses are also proposed by descriptors, in a round of its own after the first.
+    /// Whether poses are also proposed by descriptors, in a round of its own: the first where one cloud is much
+    /// larger than the other, else before the last.
     pub descriptors: bool,
     /// Seconds after which the search hands over the best pose so far, counted from the beginning
     /// of the registration; above 0. `None` for no limit. What is found then depends on the

@@ -325,6 +325,26 @@ mod tests {
     }
 
     #[test]
+    fn few_starts_stand_at_a_quarter_of_the_places_and_at_places_of_their_own() {
+        let slope: Vec<Point> = (0..3600)
+            .map(|i| [f64::from(i % 60), f64::from(i / 60)])
+            .map(|[x, y]| [x, y, 0.002 * x * x])
+            .collect();
+        let slope = Cloud::new(&slope).unwrap();
+        let slope = SurfaceCloud::new(&slope, 0, &Progress::silent()).unwrap();
+        let (unit_m, n_rotations) = (20.0, 10);
+        let all = Starts::new(&slope, unit_m, Freedom::Rigid, (0, n_rotations), 1);
+        let few = Starts::few(&slope, unit_m, Freedom::Rigid, n_rotations, 1);
+        let n_places = n_places(&slope, unit_m);
+        assert_eq!(all.len(), n_rotations * n_places);
+        assert_eq!(few.len(), n_rotations * n_places.div_ceil(FEW));
+        // The same places, though each start lies elsewhere.
+        assert!(few.places.iter().all(|place| all.places.contains(place)));
+        let shift = few.pose(0).translation - all.pose(0).translation;
+        assert!(shift.norm() > 0.0 && shift.norm() < 10.0 * JITTER * unit_m);
+    }
+
+    #[test]
     fn a_large_cloud_has_many_places_and_a_small_one_few() {
         let square = |side: f64| -> Vec<Point> {
             let n = 60;
