@@ -254,7 +254,7 @@ pub(crate) fn search_asking(
         let found = match *round {
             Round::Brief { n_rotations } => {
                 let starts = Starts::few(&fixed.cloud, unit_m, problem.freedom, n_rotations, seed);
-                run_down(&starts, brief, n_early / 2)?
+                run_down(&starts, brief, n_early.div_ceil(2))?
             }
             Round::Starts { index, n_rotations } => {
                 let which = (index, n_rotations);
@@ -274,8 +274,9 @@ pub(crate) fn search_asking(
                 let (moving, fixed) = (&moving.cloud, &fixed.cloud);
                 let proposed =
                     hypotheses::propose(moving, fixed, unit_m, problem.freedom, progress)?;
+                // Where nothing was looked at before, they are the rivals, too.
                 let n_taken = match i {
-                    0 => options.n_verified / 2,
+                    0 => options.n_verified.div_ceil(2),
                     _ => n_early,
                 };
                 proposed.iter().take(n_taken).map(|h| h.pose).collect()

@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn few_starts_stand_at_a_quarter_of_the_places_and_at_places_of_their_own() {
+    fn few_starts_stand_at_a_quarter_of_the_places() {
         let slope: Vec<Point> = (0..3600)
             .map(|i| [f64::from(i % 60), f64::from(i / 60)])
             .map(|[x, y]| [x, y, 0.002 * x * x])
