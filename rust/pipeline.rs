@@ -225,13 +225,10 @@ fn route(
         max_distance_m / pose.scale,
         progress,
     )?;
-    let surface_offset_m = surface_offset_m(
-        &prepared,
-        &pose,
-        [&source_cleaned, &target_cleaned],
-        &config,
-        progress,
-    )?;
+    let most_offset_m = prepared.unit_m * config.verdict.most_surface_offset(agreed.conflict_share);
+    let clouds = [&source_cleaned, &target_cleaned];
+    let surface_offset_m =
+        surface_offset_m(&prepared, &pose, clouds, most_offset_m, &config, progress)?;
     let held_out = held_out_ratio(&prepared, &pose, max_distance_m);
     let strength = Strength::new(
         &support.planes.information(),
@@ -277,7 +274,7 @@ fn route(
     if !is_clear && config.mode == Mode::Robust {
         let doubts = doubts::doubts(
             &prepared,
-            [&source_cleaned, &target_cleaned],
+            clouds,
             search::merit(&found),
             &config,
             deadline,
@@ -372,12 +369,13 @@ fn refine(
     )
 }
 
-/// How far even surfaces lie apart; where that is much, and the clouds are strewn, without their strays if it was
+/// How far even surfaces lie apart; where that is above `most_m`, and the clouds are strewn, without their strays if it was
 /// these that shifted the means of surfaces.
 fn surface_offset_m(
     prepared: &Prepared,
     pose: &Similarity,
     [source, target]: [&Cloud; 2],
+    most_m: f64,
     config: &Config,
     progress: &Progress<'_>,
 ) -> Result<f64> {
@@ -386,7 +384,6 @@ fn surface_offset_m(
         fitness::surface_offset_m(source, target, pose, prepared.unit_m, progress)
     };
     let offset_m = of(prepared, pose)?;
-    let most_m = config.verdict.accept_surface_offset * prepared.unit_m;
     if offset_m > most_m && prepared.is_strewn(progress)? {
         let cleaned = prepared.without_strays(source, target, config, progress)?;
         if let Some(cleaned) = cleaned {

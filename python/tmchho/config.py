@@ -101,8 +101,8 @@ class RobustSearchOptions:
     n_verified : int, optional
         Poses of each round that are refined and verified, at least 1.
     descriptors : bool, optional
-        Propose poses by descriptors of the surface as well, in a round of its own: the first where one cloud is
-        much larger than the other, else before the last.
+        Propose poses by descriptors of the surface as well, in a round of its own: the first where one cloud
+        is much larger than the other, else before the last.
     max_seconds : float, optional
         Seconds from the beginning of the registration, above 0, after which the search hands over the best
         pose so far. No limit where not given. What is found then depends on the machine.
@@ -236,7 +236,7 @@ class VerdictOptions:
         surface, 0 to 1.
     accept_surface_offset : float, optional
         Accept only where even surfaces lie at most so far apart once their noise is averaged out, as a share
-        of the extent of the smaller cloud, above 0.
+        of the extent of the smaller cloud, times (1 - conflict share)², above 0.
     accept_deviation_from_known : float, optional
         Accept only up to so many standard deviations from the prior and the control points, above 0.
     """

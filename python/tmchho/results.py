@@ -179,7 +179,7 @@ class Registration(ReadOnlyArrays):
         The share of inliers, less what conflicts with it: times (1 - `conflict_share`)⁴.
     surface_offset : float
         How far even surfaces lie apart once their noise is averaged out: distances along the normal between
-        patches of both clouds (those of M3C2), averaged over regions; what three quarters of them stay below.
+        patches of both clouds (those of M3C2), averaged over regions; what nine tenths of them stay below.
         NaN where hardly any surface is even, or points are too few.
     extent : float
         Extent of the smaller cloud, 2.4 times the radius that holds 99.5 % of its points. Lengths that are
@@ -375,7 +375,7 @@ class Registration(ReadOnlyArrays):
         accuracy = "not known" if error is None else f"{error:.2g} ({accuracy})"
         misfit = f"the surfaces lie {self.misfit:.2f} times as far apart as they are rough themselves"
         misfit = "not known" if math.isnan(self.misfit) else misfit
-        offset = f"three quarters of even surface lie within {self.surface_offset:.2g}, noise averaged out"
+        offset = f"nine tenths of even surface lie within {self.surface_offset:.2g}, noise averaged out"
         offset = "not known" if math.isnan(self.surface_offset) else offset
         conflict = f"{self.conflict_share:.1%} of the surface near the other cloud lies above or below it"
         lines += [

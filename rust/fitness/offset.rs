@@ -43,7 +43,7 @@ struct Patch {
 }
 
 /// How far apart even surfaces of both clouds lie at `pose` (fixed from moving), their noise averaged out, in the
-/// unit of the fixed cloud: the distance along the normal, averaged round about each patch, that three quarters
+/// unit of the fixed cloud: the distance along the normal, averaged round about each patch, that nine tenths
 /// of the patches stay below. NaN where hardly any surface near the other cloud is even: in a canopy, in a
 /// cloud of few points. `unit_m` is the extent of the smaller cloud.
 ///
@@ -56,8 +56,8 @@ pub fn surface_offset_m(
     unit_m: f64,
     progress: &Progress<'_>,
 ) -> Result<f64> {
-    /// A fourth of a place may have changed; and dams of one plan lie together in parts.
-    const QUANTILE: f64 = 0.75;
+    /// A tenth of a place may have changed; but dams of one plan lie together in most parts.
+    const QUANTILE: f64 = 0.9;
     /// Normals of patches that are averaged agree within 37°.
     const MIN_COSINE: f64 = 0.8;
     let patches = even_patches(moving, fixed, pose, unit_m, progress)?;

@@ -206,9 +206,9 @@ def evidence(document: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
         ),
         _check(
             "Offset of the surfaces",
-            "within which distance three quarters of even surface lie once their noise is averaged out",
+            "within which distance nine tenths of even surface lie once their noise is averaged out",
             document["surface_offset"],
-            limits["accept_surface_offset"] * document["extent"],
+            limits["accept_surface_offset"] * (1 - document["conflict_share"]) ** 2 * document["extent"],
             lambda value: length(value, unit, 2),
             most=True,
         ),
