@@ -162,7 +162,7 @@ impl Compared {
         }
         let hole_radius_m = match options.hole_radius_m {
             Some(radius_m) => require_positive("hole_radius_m", radius_m)?,
-            None => derived_hole_radius_m(target_index, source_index),
+            None => derived_hole_radius_m(target_index, source_index, progress)?,
         };
         let target_distances_m = {
             let moved = moved(target.points(), &target_from_source.inverse(), progress)?;
@@ -216,9 +216,13 @@ impl Compared {
     }
 }
 
-fn derived_hole_radius_m(target_index: &NeighborIndex, source_index: &NeighborIndex) -> f64 {
-    let spacing_m = |index| nearest_spacing_quantile_m(index, SPACING_QUANTILE);
-    RADIUS_IN_SPACINGS * spacing_m(target_index).max(spacing_m(source_index))
+fn derived_hole_radius_m(
+    target_index: &NeighborIndex,
+    source_index: &NeighborIndex,
+    progress: &Progress<'_>,
+) -> Result<f64> {
+    let spacing_m = |index| nearest_spacing_quantile_m(index, SPACING_QUANTILE, progress);
+    Ok(RADIUS_IN_SPACINGS * spacing_m(target_index)?.max(spacing_m(source_index)?))
 }
 
 fn moved(points: &[Point], pose: &Similarity, progress: &Progress<'_>) -> Result<Vec<Point>> {

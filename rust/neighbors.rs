@@ -117,6 +117,20 @@ impl NeighborIndex {
         nearest.0.found().map(Neighbor::from)
     }
 
+    /// From every `stride`-th point, in their order, to the nearest one that does not coincide with it; of points
+    /// that all coincide nothing.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`].
+    pub fn spacings_m(&self, stride: usize, progress: &Progress<'_>) -> Result<Vec<f64>> {
+        let places = Places::of_some(&self.tree, stride);
+        let fresh = || NearestElsewhere(Nearest::within(f64::INFINITY));
+        let spacings = self.map_collected(&places, fresh, progress, |nearest| {
+            nearest.0.found().map(|held| held.distance_sq.sqrt())
+        })?;
+        Ok(spacings.into_iter().flatten().collect())
+    }
+
     /// Replaces `out` with the `k` points nearest to `place` (all of them if there are fewer),
     /// by rising distance, then index. A point at `place` itself is one of them.
     pub fn k_nearest(&self, place: &Point, k: usize, out: &mut Vec<Neighbor>) {

@@ -80,7 +80,7 @@ pub fn remove_outliers(
     }
     let radius_m = match options.radius_m {
         Some(radius_m) => require_positive("radius_m", radius_m)?,
-        None => RADIUS_IN_SPACINGS * nearest_spacing_quantile_m(index, SPACING_QUANTILE),
+        None => RADIUS_IN_SPACINGS * nearest_spacing_quantile_m(index, SPACING_QUANTILE, progress)?,
     };
     let points = cloud.points();
     let needed = options.min_neighbors.saturating_add(1); // the point itself is found as well

@@ -69,10 +69,12 @@ pub fn register(
     progress: &Progress<'_>,
 ) -> Result<Registration> {
     config.check()?;
-    let source = Cloud::named("source cloud", source)?;
-    let target = Cloud::named("target cloud", target)?;
     parallel::with_threads(config.n_threads, || {
-        route(&source, &target, config, progress)
+        let (source, target) = parallel::both(
+            || Cloud::named("source cloud", source),
+            || Cloud::named("target cloud", target),
+        );
+        route(&source?, &target?, config, progress)
     })
 }
 
@@ -295,6 +297,10 @@ fn route(
         &target_from_source.between_local_coordinates(source.origin(), target.origin()),
         progress,
     )?;
+    let (of_forth, of_back) = parallel::both(
+        || statistics(&source_to_target),
+        || statistics(&target_to_source),
+    );
     log.keep();
 
     Ok(Registration {
@@ -328,8 +334,8 @@ fn route(
         icp_stop: fine.stop_reason,
         n_icp_iterations: fine.n_iterations,
         icp_history: fine.history,
-        source_to_target: statistics(&source_to_target)?,
-        target_to_source: statistics(&target_to_source)?,
+        source_to_target: of_forth?,
+        target_to_source: of_back?,
         n_non_finite: (source.n_non_finite(), target.n_non_finite()),
         outlier_radius_m,
         voxel_size_m,

@@ -6,8 +6,9 @@
 //! Source: this project.  Deviates: nowhere.
 //! Absent on purpose: random samples; the sample is every so-many-th point, the same each time.
 
+use crate::error::Result;
 use crate::neighbors::NeighborIndex;
-use crate::parallel;
+use crate::progress::Progress;
 
 /// Most points whose spacing is looked at; quantiles change by about 1 % beyond.
 const SAMPLE_POINTS: usize = 10_000;
@@ -16,31 +17,35 @@ const SAMPLE_POINTS: usize = 10_000;
 /// it over at most 10 000 evenly strided points. 0 where no two points differ in position.
 ///
 /// ```
-/// use tmchho::{neighbors::NeighborIndex, spacing::nearest_spacing_quantile_m};
+/// use tmchho::{neighbors::NeighborIndex, progress::Progress, spacing::nearest_spacing_quantile_m};
 /// let index = NeighborIndex::new(&[[0.0; 3], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0], [8.0, 0.0, 0.0]]);
-/// assert_eq!(nearest_spacing_quantile_m(&index, 0.0), 1.0); // spacings 1 1 2 5
-/// assert_eq!(nearest_spacing_quantile_m(&index, 1.0), 5.0);
+/// let quantile = |q| nearest_spacing_quantile_m(&index, q, &Progress::silent());
+/// assert_eq!((quantile(0.0)?, quantile(1.0)?), (1.0, 5.0)); // spacings 1 1 2 5
+/// # Ok::<(), tmchho::Error>(())
 /// ```
-pub fn nearest_spacing_quantile_m(index: &NeighborIndex, quantile: f64) -> f64 {
+///
+/// # Errors
+/// [`crate::Error::Cancelled`].
+pub fn nearest_spacing_quantile_m(
+    index: &NeighborIndex,
+    quantile: f64,
+    progress: &Progress<'_>,
+) -> Result<f64> {
     let stride = index.len().div_ceil(SAMPLE_POINTS).max(1);
-    let n_sampled = index.len().div_ceil(stride);
-    let mut spacings: Vec<f64> = parallel::map(n_sampled, |i| {
-        index.nearest_elsewhere(&index.points()[i * stride])
-    })
-    .into_iter()
-    .flatten()
-    .map(|neighbor| neighbor.distance_sq.sqrt())
-    .collect();
+    let mut spacings = index.spacings_m(stride, progress)?;
     if spacings.is_empty() {
-        return 0.0;
+        return Ok(0.0);
     }
     let rank = (quantile.clamp(0.0, 1.0) * (spacings.len() - 1) as f64).round() as usize;
-    *spacings.select_nth_unstable_by(rank, f64::total_cmp).1
+    Ok(*spacings.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
 /// The median of the distance from a point to the nearest one at another position.
-pub fn median_spacing_m(index: &NeighborIndex) -> f64 {
-    nearest_spacing_quantile_m(index, 0.5)
+///
+/// # Errors
+/// [`crate::Error::Cancelled`].
+pub fn median_spacing_m(index: &NeighborIndex, progress: &Progress<'_>) -> Result<f64> {
+    nearest_spacing_quantile_m(index, 0.5, progress)
 }
 
 #[cfg(test)]
@@ -49,6 +54,16 @@ mod tests {
     use crate::cloud::{Point, distance_sq};
     use crate::random::Stream;
 
+    fn quantile_m(points: &[Point], quantile: f64) -> f64 {
+        let index = NeighborIndex::new(points);
+        nearest_spacing_quantile_m(&index, quantile, &Progress::silent()).unwrap()
+    }
+
+    fn median_m(points: &[Point]) -> f64 {
+        let index = NeighborIndex::new(points);
+        median_spacing_m(&index, &Progress::silent()).unwrap()
+    }
+
     #[test]
     fn a_grid_with_one_stray_and_one_copy() {
         let mut points: Vec<Point> = (0..100)
@@ -56,10 +71,9 @@ mod tests {
             .collect();
         points.push([0.0, 0.0, 9.0]);
         points.push(points[0]);
-        let index = NeighborIndex::new(&points);
-        assert_eq!(median_spacing_m(&index), 0.25);
-        assert_eq!(nearest_spacing_quantile_m(&index, 0.9), 0.25);
-        assert_eq!(nearest_spacing_quantile_m(&index, 1.0), 9.0);
+        assert_eq!(median_m(&points), 0.25);
+        assert_eq!(quantile_m(&points, 0.9), 0.25);
+        assert_eq!(quantile_m(&points, 1.0), 9.0);
     }
 
     #[test]
@@ -75,17 +89,15 @@ mod tests {
             .map(f64::sqrt)
             .collect();
         spacings.sort_by(f64::total_cmp);
-        let index = NeighborIndex::new(&points);
         for (quantile, rank) in [(0.0, 0), (0.25, 200), (0.5, 400), (0.9, 720), (1.0, 800)] {
-            let got = nearest_spacing_quantile_m(&index, quantile);
-            assert_eq!(got, spacings[rank]);
+            assert_eq!(quantile_m(&points, quantile), spacings[rank]);
         }
     }
 
     #[test]
     fn clouds_without_two_places_have_no_spacing() {
         for points in [vec![], vec![[1.0, 2.0, 3.0]], vec![[1.0, 2.0, 3.0]; 30_000]] {
-            assert_eq!(median_spacing_m(&NeighborIndex::new(&points)), 0.0);
+            assert_eq!(median_m(&points), 0.0);
         }
     }
 
@@ -96,8 +108,8 @@ mod tests {
                 .map(|i| [unit * f64::from(i), 0.0, 0.0])
                 .collect()
         };
-        let metres = median_spacing_m(&NeighborIndex::new(&line(1.0)));
-        let kilometres = median_spacing_m(&NeighborIndex::new(&line(1024.0)));
+        let metres = median_m(&line(1.0));
+        let kilometres = median_m(&line(1024.0));
         assert_eq!((metres, kilometres), (1.0, 1024.0));
     }
 }

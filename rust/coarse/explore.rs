@@ -120,15 +120,17 @@ impl<'a> Explorer<'a> {
         let points = self.moving.points();
         let n_first = N_FIRST.min(points.len());
         let n_samples = points.len() / n_first;
-        let first = parallel::map_cheap(n_starts, progress, |i| {
+        let first = parallel::map(n_starts, |i| {
+            progress.check()?;
             // Every start looks at other points, so that no unlucky sample spoils them all.
             let few = &points[i % n_samples * n_first..][..n_first];
-            (!deadline.is_over()).then(|| {
+            Ok((!deadline.is_over()).then(|| {
                 let pose = descent::to_points(few, grid, start(i), freedom, FIRST.times(unit_m));
                 let cost = descent::truncated_cost(few, grid, &pose, FIRST_TRUNCATION * unit_m);
                 Scored { cost, pose }
-            })
-        })?;
+            }))
+        });
+        let first = first.into_iter().collect::<Result<Vec<_>>>()?;
         let shortlist = distinct(first, descents.n_shortlist, SAME_BASIN * unit_m);
         // Both clouds at the density at which the second sample shows the moving one.
         let some_moving = self.moving.sample(N_SECOND);

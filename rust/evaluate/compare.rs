@@ -106,11 +106,11 @@ pub fn compare(
             spacing_there_m,
         })
     };
-    let wide = |index| nearest_spacing_quantile_m(index, MOST);
+    let wide = |index| nearest_spacing_quantile_m(index, MOST, progress);
     Ok(Comparison {
         source_to_target: measured(&source, &target)?,
         target_to_source: measured(&target, &source)?,
-        wide_spacing_m: wide(&source).max(wide(&target)),
+        wide_spacing_m: wide(&source)?.max(wide(&target)?),
     })
 }
 

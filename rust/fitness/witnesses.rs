@@ -42,7 +42,7 @@ impl Witnesses {
         voxel_size_m: f64,
         progress: &Progress<'_>,
     ) -> Result<[Self; 2]> {
-        let (spacings_m, sizes) = measured(&clouds, voxel_size_m);
+        let (spacings_m, sizes) = measured(&clouds, voxel_size_m, progress)?;
         let smaller = sizes[0].min(sizes[1]).max(1);
         let density = n as f64 / smaller as f64;
         let of = |cloud: SurfaceCloud, size: usize, spacing_m: f64| -> Result<Self> {
@@ -97,19 +97,25 @@ impl Witnesses {
 }
 
 /// How far the points of each cloud lie apart, at least the edge of its voxels, and how large each is.
-fn measured(clouds: &[SurfaceCloud; 2], voxel_size_m: f64) -> ([f64; 2], [usize; 2]) {
+fn measured(
+    clouds: &[SurfaceCloud; 2],
+    voxel_size_m: f64,
+    progress: &Progress<'_>,
+) -> Result<([f64; 2], [usize; 2])> {
     /// A cloud whose median spacing is more than this many voxels is sparser than its voxels.
     const SPARSE: f64 = 1.3;
     /// A cell of so many median spacings that the surface crosses holds a point nine times in ten.
     const FILLED: f64 = 5.0;
-    let spacings_m = clouds.each_ref().map(|cloud| {
-        let median_m = median_spacing_m(&cloud.index);
-        if median_m > SPARSE * voxel_size_m {
+    let spacing = |cloud: &SurfaceCloud| -> Result<f64> {
+        let median_m = median_spacing_m(&cloud.index, progress)?;
+        Ok(if median_m > SPARSE * voxel_size_m {
             median_m
         } else {
             voxel_size_m
-        }
-    });
+        })
+    };
+    let (first, second) = parallel::both(|| spacing(&clouds[0]), || spacing(&clouds[1]));
+    let spacings_m = [first?, second?];
     let sparser_m = spacings_m[0].max(spacings_m[1]);
     let sizes = clouds.each_ref().map(|cloud| {
         if sparser_m > voxel_size_m {
@@ -118,7 +124,7 @@ fn measured(clouds: &[SurfaceCloud; 2], voxel_size_m: f64) -> ([f64; 2], [usize;
             cloud.len()
         }
     });
-    (spacings_m, sizes)
+    Ok((spacings_m, sizes))
 }
 
 /// What is usual weighs little, but not nothing: a scene of planes alone can still be scored.

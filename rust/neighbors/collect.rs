@@ -220,6 +220,7 @@ impl Collector for NearestTwo {
 }
 
 /// The nearest point that does not coincide with the place.
+#[derive(Clone, Copy)]
 pub(super) struct NearestElsewhere(pub(super) Nearest);
 
 impl Collector for NearestElsewhere {

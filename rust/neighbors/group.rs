@@ -210,6 +210,19 @@ impl Places {
         }
     }
 
+    /// Every `stride`-th of the points of a tree.
+    pub(super) fn of_some(tree: &Blocks, stride: usize) -> Self {
+        let stride = stride.max(1) as u32;
+        let is_taken = |entry: &Entry| entry.index.is_multiple_of(stride);
+        let renumbered = |entry: Entry| Entry {
+            index: entry.index / stride,
+            ..entry
+        };
+        Self {
+            entries: tree.entries().filter(is_taken).map(renumbered).collect(),
+        }
+    }
+
     /// The same places, moved.
     pub fn moved(mut self, to: impl Fn(&Point) -> Point + Sync + Send) -> Self {
         parallel::for_each_chunk(&mut self.entries, parallel::CHUNK, |_, entries| {

@@ -266,11 +266,9 @@ pub(super) fn nearest_distances<'py>(
 #[pyfunction]
 pub(super) fn median_spacing<'py>(py: Python<'py>, array: ReadArray<'py>) -> PyResult<f64> {
     let given = points(&array)?;
-    with_progress(py, None, |_| {
+    with_progress(py, None, |progress| {
         let cloud = Cloud::of_any_shape("cloud", given)?;
-        Ok(spacing::median_spacing_m(&NeighborIndex::new(
-            cloud.points(),
-        )))
+        spacing::median_spacing_m(&NeighborIndex::new(cloud.points()), progress)
     })
 }
 
