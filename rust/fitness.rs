@@ -273,7 +273,7 @@ fn each_partner<P: FindsPartner>(
     const MIN_COSINE: f64 = 0.8;
     let max_sq = tolerance.distance_m * tolerance.distance_m;
     let to = &witnesses.cloud;
-    for i in 0..from.len() {
+    for i in from.numbers() {
         let moved = to_from.apply(&from.cloud.points()[i]);
         if !to.is_near_box(&moved, tolerance.distance_m) {
             continue;
@@ -562,7 +562,7 @@ mod tests {
             let cloud = &witnesses.cloud;
             let x = |i: usize| cloud.points()[i][0] + cloud.origin[0];
             let mean = |near: fn(f64) -> bool| {
-                let chosen: Vec<f64> = (0..2500)
+                let chosen: Vec<f64> = (witnesses.numbers())
                     .filter(|i| near(x(*i)))
                     .map(|i| witnesses.weights[i])
                     .collect();

@@ -73,6 +73,20 @@ impl NeighborIndex {
         }
     }
 
+    /// The same, with the points numbered anew: in the order of the tree, in which those that follow each other lie
+    /// side by side.
+    pub fn renumbered(points: &[Point]) -> Self {
+        let mut entries = sort::into_blocks(points);
+        for (entry, index) in entries.iter_mut().zip(0..) {
+            entry.index = index;
+        }
+        Self {
+            tree: Blocks::new(&entries),
+            points: OnceLock::new(),
+            general: OnceLock::new(),
+        }
+    }
+
     /// The points, in the order given.
     pub fn points(&self) -> &[Point] {
         self.points.get_or_init(|| self.tree.points())

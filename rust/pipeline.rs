@@ -345,8 +345,8 @@ fn route(
     })
 }
 
-/// Brings the coarse pose to rest: the paper's ICP, or point-to-plane on the overlap. The last of the
-/// points, which stand in random order, are held out in robust mode.
+/// Brings the coarse pose to rest: the paper's ICP, or point-to-plane on the overlap. The points that were
+/// drawn last are held out in robust mode.
 fn refine(
     prepared: &Prepared,
     coarse_pose: &Similarity,
@@ -359,9 +359,14 @@ fn refine(
         Mode::Robust => n_fitted(source.len()),
         Mode::Paper => source.len(),
     };
+    let fitted = source.drawn_in_order(n_fitted);
+    let surfaces: Vec<_> = fitted
+        .iter()
+        .map(|i| source.surfaces[*i as usize])
+        .collect();
     let clouds = Clouds {
-        source: source.sample(n_fitted),
-        source_surfaces: &source.surfaces[..n_fitted],
+        source: &source.points_of(&fitted),
+        source_surfaces: &surfaces,
         target: &target.index,
         target_surfaces: &target.surfaces,
     };
@@ -413,10 +418,10 @@ fn n_fitted(n: usize) -> usize {
 fn held_out_ratio(prepared: &Prepared, pose: &Similarity, max_distance_m: f64) -> f64 {
     /// Fewer pairs tell nothing.
     const LEAST_PAIRS: usize = 30;
-    let points = prepared.source.cloud.points();
-    let index = &prepared.target.cloud.index;
-    let rms = |points: &[Point]| {
+    let (source, index) = (&prepared.source.cloud, &prepared.target.cloud.index);
+    let rms = |numbers: &[u32]| {
         let max_sq = max_distance_m * max_distance_m;
+        let points = source.points_of(numbers);
         let found = parallel::map(points.len(), |i| {
             index.nearest_within(&pose.apply(&points[i]), max_sq)
         });
@@ -424,7 +429,8 @@ fn held_out_ratio(prepared: &Prepared, pose: &Similarity, max_distance_m: f64) -
         let (n, sum) = found.fold((0, 0.0), |(n, sum), pair| (n + 1, sum + pair.distance_sq));
         (n >= LEAST_PAIRS).then(|| (sum / n as f64).sqrt())
     };
-    let (fitted, held_out) = points.split_at(n_fitted(points.len()));
+    let drawn = source.drawn(source.len());
+    let (fitted, held_out) = drawn.split_at(n_fitted(drawn.len()));
     // As many of the others are looked at as were held out.
     match (
         rms(held_out),

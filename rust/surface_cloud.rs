@@ -12,9 +12,10 @@ use crate::random::Stream;
 /// enough not to round off the edges on which registration rests.
 pub(crate) const N_NORMAL_NEIGHBORS: usize = 16;
 
-/// Points about their centroid in random order, the surface at each of them, their neighbours.
+/// Points about their centroid, the surface at each of them, their neighbours.
 ///
-/// The first n points are a random sample of the cloud, whatever n is.
+/// The points are numbered so that those that follow each other lie side by side: whoever goes through them
+/// finds in the cache what he needs. Samples are drawn in an order of their own.
 #[derive(Debug)]
 pub struct SurfaceCloud {
     /// The centroid, in the coordinates given.
@@ -23,29 +24,31 @@ pub struct SurfaceCloud {
     pub surfaces: Vec<Surface>,
     /// Neighbours; also holds the points.
     pub index: NeighborIndex,
+    /// The numbers of all points at random.
+    drawn: Vec<u32>,
     low: Point,
     high: Point,
 }
 
 impl SurfaceCloud {
-    /// Indexes the points of `cloud`, in an order fixed by `seed`, and estimates their surfaces.
+    /// Indexes the points of `cloud`, estimates their surfaces, and draws all of them in an order fixed by `seed`.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`].
     pub fn new(cloud: &Cloud, seed: u64, progress: &Progress<'_>) -> Result<Self> {
         let middle = centroid(cloud.points());
-        let points: Vec<Point> = Stream::new(seed, "order of points", 0)
-            .sample_indices(cloud.len(), cloud.len())
-            .into_iter()
-            .map(|i| std::array::from_fn(|axis| cloud.points()[i][axis] - middle[axis]))
-            .collect();
-        let index = NeighborIndex::new(&points);
+        let about = |p: &Point| std::array::from_fn(|axis| p[axis] - middle[axis]);
+        let index =
+            NeighborIndex::renumbered(&cloud.points().iter().map(about).collect::<Vec<_>>());
         let surfaces = normals::estimate(index.points(), &index, N_NORMAL_NEIGHBORS, progress)?;
-        let (low, high) = bounds(&points);
+        let (low, high) = bounds(index.points());
+        let drawn =
+            Stream::new(seed, "order of points", 0).sample_indices(cloud.len(), cloud.len());
         Ok(Self {
             origin: std::array::from_fn(|axis| cloud.origin()[axis] + middle[axis]),
             surfaces,
             index,
+            drawn: drawn.into_iter().map(|i| i as u32).collect(),
             low,
             high,
         })
@@ -60,6 +63,7 @@ impl SurfaceCloud {
             origin: self.origin,
             surfaces: self.surfaces.iter().map(Surface::mirrored).collect(),
             index: NeighborIndex::new(&points),
+            drawn: self.drawn.clone(),
             low,
             high,
         }
@@ -70,19 +74,32 @@ impl SurfaceCloud {
         self.index.points()
     }
 
-    /// The first `n` points, or all: a random sample.
-    pub fn sample(&self, n: usize) -> &[Point] {
-        &self.points()[..n.min(self.len())]
+    /// The numbers of `n` points (or all) at random, as they were drawn; fewer are always the first ones of more.
+    pub fn drawn(&self, n: usize) -> &[u32] {
+        &self.drawn[..n.min(self.len())]
     }
 
-    /// The first point in each occupied cell of a grid of edge `cell_m` (above 0), by cell.
+    /// The same by rising number: neighbours follow each other.
+    pub fn drawn_in_order(&self, n: usize) -> Vec<u32> {
+        let mut drawn = self.drawn(n).to_vec();
+        drawn.sort_unstable();
+        drawn
+    }
+
+    /// Where the points of these numbers stand.
+    pub fn points_of(&self, numbers: &[u32]) -> Vec<Point> {
+        let points = self.points();
+        numbers.iter().map(|i| points[*i as usize]).collect()
+    }
+
+    /// A random point in each occupied cell of a grid of edge `cell_m` (above 0), by cell.
     pub fn one_for_each_cell(&self, cell_m: f64) -> Vec<Point> {
         let cell_of = |p: &Point| p.map(|v| (v / cell_m).floor() as i64);
-        let points = self.points().iter().enumerate();
-        let mut by_cell: Vec<([i64; 3], usize)> = points.map(|(i, p)| (cell_of(p), i)).collect();
+        let drawn = self.points_of(&self.drawn);
+        let mut by_cell: Vec<([i64; 3], usize)> = (drawn.iter().map(cell_of).zip(0..)).collect();
         parallel::sort_unstable(&mut by_cell);
         by_cell.dedup_by_key(|(cell, _)| *cell);
-        by_cell.into_iter().map(|(_, i)| self.points()[i]).collect()
+        by_cell.into_iter().map(|(_, i)| drawn[i]).collect()
     }
 
     /// Number of points.
@@ -106,27 +123,60 @@ impl SurfaceCloud {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
-    use crate::cloud::dot;
+    use crate::cloud::{distance_sq, dot};
+
+    fn some_points(n: usize, seed: u64) -> Vec<Point> {
+        let mut stream = Stream::new(seed, "surface cloud", 0);
+        (0..n)
+            .map(|_| [stream.uniform(), stream.uniform()])
+            .map(|[x, y]| [40.0 + x, y, 0.3 * (9.0 * x).sin() * (7.0 * y).cos()])
+            .collect()
+    }
+
+    fn of(points: &[Point]) -> SurfaceCloud {
+        let cloud = Cloud::new(points).unwrap();
+        SurfaceCloud::new(&cloud, 7, &Progress::silent()).unwrap()
+    }
+
+    #[test]
+    fn neighbours_follow_each_other_and_samples_are_spread_over_the_cloud() {
+        let cloud = of(&some_points(4000, 2));
+        let mean_step = |points: &[Point]| {
+            let steps = points
+                .windows(2)
+                .map(|two| distance_sq(&two[0], &two[1]).sqrt());
+            steps.sum::<f64>() / (points.len() - 1) as f64
+        };
+        // Points lie 1/63 apart; two of the unit square half of it.
+        assert!(mean_step(cloud.points()) < 0.05);
+        let drawn = cloud.drawn(100);
+        assert!(mean_step(&cloud.points_of(drawn)) > 0.4);
+        assert_eq!(cloud.drawn(60), &drawn[..60]);
+        let in_order = cloud.drawn_in_order(100);
+        assert!(in_order.is_sorted() && in_order.iter().all(|i| drawn.contains(i)));
+        assert_eq!(cloud.drawn_in_order(5000), (0..4000).collect::<Vec<u32>>());
+        let cells_of = |points: &[Point]| -> BTreeSet<[i64; 3]> {
+            let cells = points.iter().map(|p| p.map(|v| (v / 0.25).floor() as i64));
+            cells.collect()
+        };
+        let chosen = cloud.one_for_each_cell(0.25);
+        assert_eq!(chosen.len(), cells_of(&chosen).len());
+        assert_eq!(cells_of(&chosen), cells_of(cloud.points()));
+    }
 
     #[test]
     fn a_mirrored_cloud_is_the_cloud_of_mirrored_points() {
-        let mut stream = Stream::new(1, "mirror", 0);
-        let points: Vec<Point> = (0..500)
-            .map(|_| [stream.uniform(), stream.uniform()])
-            .map(|[x, y]| [40.0 + x, y, 0.3 * (9.0 * x).sin() * (7.0 * y).cos()])
-            .collect();
-        let of = |points: &[Point]| {
-            let cloud = Cloud::new(points).unwrap();
-            SurfaceCloud::new(&cloud, 7, &Progress::silent()).unwrap()
-        };
+        let points = some_points(500, 1);
         let mirrored = of(&points).mirrored();
         let points: Vec<Point> = points.iter().map(|p| [-p[0], p[1], p[2]]).collect();
         let expected = of(&points);
-        for i in 0..points.len() {
-            let (p, q) = (&mirrored.points()[i], &expected.points()[i]);
-            assert!((0..3).all(|axis| (p[axis] - q[axis]).abs() < 1e-12));
-            let (a, b) = (&mirrored.surfaces[i], &expected.surfaces[i]);
+        for (p, a) in mirrored.points().iter().zip(&mirrored.surfaces) {
+            let same = expected.index.nearest(p).unwrap();
+            assert!(same.distance_sq < 1e-24);
+            let b = &expected.surfaces[same.index as usize];
             assert!(dot(&a.normal, &b.normal) > 1.0 - 1e-9);
             assert!((a.curvature - b.curvature).abs() < 1e-9);
         }

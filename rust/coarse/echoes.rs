@@ -44,7 +44,7 @@ pub(super) fn echoes(
         .map(|i| surface(moving, i))
         .map(|(p, normal)| (pose.apply(&p), pose.rotate(&normal)))
         .collect();
-    for j in (0..fixed.len()).filter(|j| fixed.weights[*j] >= least_weight) {
+    for j in (fixed.numbers()).filter(|j| fixed.weights[*j] >= least_weight) {
         let (place, slope) = surface(fixed, j);
         for (p, normal) in &voters {
             let cosine = normal[0] * slope[0] + normal[1] * slope[1] + normal[2] * slope[2];
@@ -63,8 +63,9 @@ pub(super) fn echoes(
 
 /// The witnesses that weigh most, and the least weight among them. Planes have none to speak of.
 fn of_highest_curvature(of: &Witnesses) -> Option<(Vec<usize>, f64)> {
-    let mut order: Vec<usize> = (0..of.len()).collect();
-    // A stable sort: of equals the first ones, which lie spread over the cloud.
+    let drawn = of.cloud.drawn(of.len());
+    let mut order: Vec<usize> = drawn.iter().map(|i| *i as usize).collect();
+    // A stable sort: of equals those drawn first, which lie spread over the cloud.
     order.sort_by(|a, b| of.weights[*b].total_cmp(&of.weights[*a]));
     order.truncate(N_VOTERS);
     let least = of.weights[*order.last()?];

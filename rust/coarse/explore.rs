@@ -83,6 +83,8 @@ pub(super) struct Explorer<'a> {
     fixed: &'a SurfaceCloud,
     pub(super) moving_grid: NearestGrid,
     pub(super) fixed_grid: NearestGrid,
+    /// The points of the moving cloud at random, in one sample after the other.
+    samples: Vec<Point>,
     unit_m: f64,
 }
 
@@ -102,6 +104,7 @@ impl<'a> Explorer<'a> {
             fixed,
             moving_grid: moving_grid?,
             fixed_grid: fixed_grid?,
+            samples: moving.points_of(moving.drawn(moving.len())),
             unit_m,
         })
     }
@@ -117,7 +120,7 @@ impl<'a> Explorer<'a> {
         progress: &Progress<'_>,
     ) -> Result<(Vec<Rigid>, usize)> {
         let (unit_m, freedom, grid) = (self.unit_m, descents.freedom, &self.fixed_grid);
-        let points = self.moving.points();
+        let points = &self.samples;
         let n_first = N_FIRST.min(points.len());
         let n_samples = points.len() / n_first;
         let first = parallel::map(n_starts, |i| {
@@ -133,11 +136,11 @@ impl<'a> Explorer<'a> {
         let first = first.into_iter().collect::<Result<Vec<_>>>()?;
         let shortlist = distinct(first, descents.n_shortlist, SAME_BASIN * unit_m);
         // Both clouds at the density at which the second sample shows the moving one.
-        let some_moving = self.moving.sample(N_SECOND);
+        let some = |cloud: &SurfaceCloud, n: usize| cloud.points_of(&cloud.drawn_in_order(n));
+        let some_moving = &some(self.moving, N_SECOND);
         let share = some_moving.len() as f64 / self.moving.len() as f64;
-        let some_fixed = self
-            .fixed
-            .sample((self.fixed.len() as f64 * share).ceil() as usize);
+        let n_fixed = (self.fixed.len() as f64 * share).ceil() as usize;
+        let some_fixed = &some(self.fixed, n_fixed);
         let second = parallel::map(shortlist.len(), |i| {
             (!deadline.is_over()).then(|| {
                 let (start, truncation) = (shortlist[i].pose, SECOND.times(unit_m));

@@ -22,8 +22,6 @@ const STARTS_A_TURN: usize = 4;
 const JITTER_OF_TURNED: f64 = 0.1;
 /// One in so many places, where few are enough.
 const FEW: usize = 4;
-/// Points of the fixed cloud from which places are derived.
-const N_PLACES_FROM: usize = 4000;
 
 /// Starts of one kind: every rotation at every place.
 pub(super) struct Starts {
@@ -36,10 +34,16 @@ pub(super) struct Starts {
     seed: u64,
 }
 
+/// Points of the fixed cloud from which places are derived.
+fn sample(fixed: &SurfaceCloud) -> Vec<Point> {
+    /// More would only cost.
+    const MOST: usize = 4000;
+    fixed.points_of(&fixed.drawn_in_order(MOST))
+}
+
 /// How many places of the fixed cloud the first rounds start at.
 pub(super) fn n_places(fixed: &SurfaceCloud, unit_m: f64) -> usize {
-    let sample = fixed.sample(N_PLACES_FROM);
-    anchors(sample, PITCH[0] * unit_m, REACH * unit_m).len()
+    anchors(&sample(fixed), PITCH[0] * unit_m, REACH * unit_m).len()
 }
 
 impl Starts {
@@ -53,10 +57,9 @@ impl Starts {
     ) -> Self {
         let mut stream = Stream::new(seed, "rotations", round as u64);
         let pitch = PITCH[usize::from(round >= N_FIRST_ROUNDS)];
-        let sample = fixed.sample(N_PLACES_FROM);
         Self {
             rotations: rotations(n_rotations, freedom, &mut stream),
-            places: anchors(sample, pitch * unit_m, REACH * unit_m),
+            places: anchors(&sample(fixed), pitch * unit_m, REACH * unit_m),
             jitter_m: JITTER * unit_m,
             purpose: "jitter",
             round: round as u64,

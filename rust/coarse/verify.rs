@@ -4,12 +4,14 @@ use super::descent::{self, Fixed, Shrinking};
 use super::echoes::echoes;
 use super::robust::StandingOut;
 use super::{differ, starts, without_points};
+use crate::cloud::Point;
 use crate::deadline::Deadline;
 use crate::distance_field::NearestGrid;
 use crate::error::Result;
 use crate::fitness::{Agreement, Grids, Tolerance, Witnesses, agreement, off_plane_noise_m};
 use crate::freedom::Freedom;
 use crate::near_field::NearField;
+use crate::normals::Surface;
 use crate::observations::LocalObservations;
 use crate::parallel;
 use crate::progress::{Event, Progress, Stage};
@@ -98,6 +100,9 @@ impl Knowledge<'_> {
 pub(super) struct Verifier<'a> {
     moving: &'a Witnesses,
     fixed: &'a Witnesses,
+    /// What of the moving cloud is refined.
+    points: Vec<Point>,
+    surfaces: Vec<Surface>,
     moving_field: NearField,
     fixed_field: NearField,
     moving_grid: &'a NearestGrid,
@@ -129,9 +134,16 @@ impl<'a> Verifier<'a> {
         };
         let (moving_field, fixed_field) =
             parallel::both(|| field(&moving.cloud), || field(&fixed.cloud));
+        let cloud = &moving.cloud;
+        let refined = cloud.drawn_in_order(N_REFINED);
         Ok(Self {
             moving,
             fixed,
+            points: cloud.points_of(&refined),
+            surfaces: refined
+                .iter()
+                .map(|i| cloud.surfaces[*i as usize])
+                .collect(),
             moving_field: moving_field?,
             fixed_field: fixed_field?,
             moving_grid,
@@ -218,8 +230,7 @@ impl<'a> Verifier<'a> {
     }
 
     fn refined(&self, start: &Rigid, freedom: Freedom) -> Similarity {
-        let points = self.moving.cloud.sample(N_REFINED);
-        let (grid, unit_m) = (self.fixed_grid, self.unit_m);
+        let (points, grid, unit_m) = (&self.points, self.fixed_grid, self.unit_m);
         let pose = descent::to_points(points, grid, *start, freedom, REFINE_POINTS.times(unit_m));
         self.to_planes(pose.into(), None, freedom, REFINE_PLANES)
     }
@@ -237,8 +248,8 @@ impl<'a> Verifier<'a> {
             field,
         };
         descent::to_planes(
-            self.moving.cloud.sample(N_REFINED),
-            &self.moving.cloud.surfaces,
+            &self.points,
+            &self.surfaces,
             fixed,
             start,
             freedom,

@@ -43,5 +43,5 @@ pub(super) fn n_conflicts<P: FindsPartner>(
         let (nearest, normal) = (&to.points()[partner], &to.surfaces[partner].normal);
         distance_sq(&moved, nearest) > least_sq && lies_off(&moved, nearest, normal)
     };
-    (0..from.len()).filter(is_conflict).count() as f64
+    from.numbers().filter(is_conflict).count() as f64
 }

@@ -102,15 +102,15 @@ fn even_patches(
     // The unit as the moving cloud's frame has it.
     let (scale, moving_unit_m) = (to_moving.scale, to_moving.scale * unit_m);
     let near_m = NEAR * moving_unit_m;
-    let is_near = |p: &&Point| {
-        let moved = to_moving.apply(p);
+    let is_near = |i: &&u32| {
+        let moved = to_moving.apply(&fixed.points()[**i as usize]);
         moving.is_near_box(&moved, near_m)
             && (moving.index.nearest_within(&moved, near_m * near_m)).is_some()
     };
-    let places: Vec<Point> = (fixed.points().iter().filter(is_near))
-        .take(N_PLACES)
-        .copied()
-        .collect();
+    let drawn = fixed.drawn(fixed.len()).iter();
+    let mut numbers: Vec<u32> = drawn.filter(is_near).take(N_PLACES).copied().collect();
+    numbers.sort_unstable();
+    let places = fixed.points_of(&numbers);
     let moved: Vec<Point> = places.iter().map(|p| to_moving.apply(p)).collect();
     let surfaces = |cloud: &SurfaceCloud, places: &[Point], unit_m: f64| {
         let radius_m = NORMAL_RADIUS * unit_m;

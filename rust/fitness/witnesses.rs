@@ -2,6 +2,7 @@
 //!
 //! Source: ours; measured in docs/robust_search.md.
 
+use crate::cloud::Point;
 use crate::error::Result;
 use crate::neighbors::NeighborIndex;
 use crate::normals::{self, Surface};
@@ -10,7 +11,7 @@ use crate::progress::Progress;
 use crate::spacing::median_spacing_m;
 use crate::surface_cloud::SurfaceCloud;
 
-/// The points of a cloud that testify to a pose: its first ones. All points have a weight.
+/// The points of a cloud that testify to a pose, drawn at random. All points have a weight.
 ///
 /// What half of a cloud looks like tells no place from another: planes agree anywhere along themselves,
 /// and so does ground in the thickness of its noise. So a point weighs by how much more the surface round
@@ -25,7 +26,8 @@ pub struct Witnesses {
     /// How much surface the cloud covers, in a unit that it shares with the other one: points where both
     /// are as dense as their voxels, else cells that the sparser one fills.
     pub size: usize,
-    n_witnesses: usize,
+    /// The numbers of the witnesses, rising.
+    witnesses: Vec<u32>,
 }
 
 impl Witnesses {
@@ -47,15 +49,16 @@ impl Witnesses {
         let density = n as f64 / smaller as f64;
         let of = |cloud: SurfaceCloud, size: usize, spacing_m: f64| -> Result<Self> {
             let n = cloud.len().min((size as f64 * density).ceil() as usize);
-            let own = curvature_weights(&cloud, n, radius_m, spacing_m, progress)?;
-            let witnesses = NeighborIndex::new(cloud.sample(n));
-            let nearest = witnesses.nearest_to(&cloud.index.places(), progress)?;
+            let witnesses = cloud.drawn_in_order(n);
+            let index = NeighborIndex::new(&cloud.points_of(&witnesses));
+            let own = curvature_weights(&cloud, index.points(), radius_m, spacing_m, progress)?;
+            let nearest = index.nearest_to(&cloud.index.places(), progress)?;
             let weights = nearest.iter().map(|it| own[it.index as usize]).collect();
             Ok(Self {
                 cloud,
                 weights,
                 size,
-                n_witnesses: n,
+                witnesses,
             })
         };
         let [first, second] = clouds;
@@ -71,23 +74,29 @@ impl Witnesses {
         Self {
             cloud: self.cloud.mirrored(),
             weights: self.weights.clone(),
-            ..*self
+            size: self.size,
+            witnesses: self.witnesses.clone(),
         }
+    }
+
+    /// The numbers of the witnesses among the points of the cloud, rising.
+    pub fn numbers(&self) -> impl Iterator<Item = usize> {
+        self.witnesses.iter().map(|i| *i as usize)
     }
 
     /// Number of witnesses.
     pub fn len(&self) -> usize {
-        self.n_witnesses
+        self.witnesses.len()
     }
 
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
-        self.n_witnesses == 0
+        self.witnesses.is_empty()
     }
 
     /// Sum of the weights of the witnesses.
     pub fn total_weight(&self) -> f64 {
-        self.weights[..self.n_witnesses].iter().sum()
+        self.numbers().map(|i| self.weights[i]).sum()
     }
 
     /// How much of the cloud's size one witness stands for; 0 where there are none.
@@ -130,7 +139,7 @@ fn measured(
 /// What is usual weighs little, but not nothing: a scene of planes alone can still be scored.
 fn curvature_weights(
     cloud: &SurfaceCloud,
-    n: usize,
+    witnesses: &[Point],
     radius_m: f64,
     spacing_m: f64,
     progress: &Progress<'_>,
@@ -140,9 +149,9 @@ fn curvature_weights(
     /// So many neighbours tell a curvature; more would only cost.
     const N_NEIGHBORS: f64 = 60.0;
     let n_within = std::f64::consts::PI * (radius_m / spacing_m).powi(2);
-    let thinned = cloud.sample((cloud.len() as f64 * (N_NEIGHBORS / n_within).min(1.0)) as usize);
-    let index = NeighborIndex::new(thinned);
-    let surfaces = normals::estimate_within(cloud.sample(n), &index, radius_m, 3, progress)?;
+    let n_thinned = (cloud.len() as f64 * (N_NEIGHBORS / n_within).min(1.0)) as usize;
+    let index = NeighborIndex::new(&cloud.points_of(&cloud.drawn_in_order(n_thinned)));
+    let surfaces = normals::estimate_within(witnesses, &index, radius_m, 3, progress)?;
     let usual = median_curvature(&surfaces);
     let weight = |s: &Surface| {
         ((s.curvature - usual) / FULL_WEIGHT_CURVATURE).clamp(0.0, 1.0) + LEAST_WEIGHT
@@ -165,7 +174,7 @@ fn median_curvature(surfaces: &[Surface]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cloud::{Cloud, Point};
+    use crate::cloud::Cloud;
     use crate::random::Stream;
 
     const VOXEL: f64 = 0.01;

@@ -54,7 +54,7 @@ pub(super) fn without_strays(
 /// [`crate::Error::Cancelled`].
 pub(super) fn share_of_strays(cloud: &SurfaceCloud, progress: &Progress<'_>) -> Result<f64> {
     const N_ASKED: usize = 2000;
-    let places = Places::new(cloud.sample(N_ASKED));
+    let places = Places::new(&cloud.points_of(cloud.drawn(N_ASKED)));
     let is_kept = cloud
         .index
         .map_k_nearest(&places, N_NEAR, progress, is_on_surface)?;
