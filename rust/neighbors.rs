@@ -124,6 +124,17 @@ impl NeighborIndex {
         nearest.found().map(Neighbor::from)
     }
 
+    /// The same of a few places close together.
+    pub fn nearest_of_some_within(
+        &self,
+        places: &[Point; WIDTH],
+        max_distance_sq: f64,
+    ) -> [Option<Neighbor>; WIDTH] {
+        let mut nearest = [Nearest::within(max_distance_sq); WIDTH];
+        self.tree.ask_group(places, &mut nearest);
+        nearest.map(|nearest| nearest.found().map(Neighbor::from))
+    }
+
     /// The nearest point that does not coincide with `place`.
     pub fn nearest_elsewhere(&self, place: &Point) -> Option<Neighbor> {
         let mut nearest = NearestElsewhere(Nearest::within(f64::INFINITY));

@@ -44,7 +44,8 @@ pub(super) fn echoes(
         .map(|i| surface(moving, i))
         .map(|(p, normal)| (pose.apply(&p), pose.rotate(&normal)))
         .collect();
-    for j in (fixed.numbers()).filter(|j| fixed.weights[*j] >= least_weight) {
+    let of_fixed = fixed.numbers().iter().map(|j| *j as usize);
+    for j in of_fixed.filter(|j| fixed.weights[*j] >= least_weight) {
         let (place, slope) = surface(fixed, j);
         for (p, normal) in &voters {
             let cosine = normal[0] * slope[0] + normal[1] * slope[1] + normal[2] * slope[2];

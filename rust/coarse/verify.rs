@@ -8,7 +8,9 @@ use crate::cloud::Point;
 use crate::deadline::Deadline;
 use crate::distance_field::NearestGrid;
 use crate::error::Result;
-use crate::fitness::{Agreement, Grids, Tolerance, Witnesses, agreement, off_plane_noise_m};
+use crate::fitness::{
+    Agreement, Grids, Tolerance, Witnesses, agreement, off_plane_noise_m, weighted_share,
+};
 use crate::freedom::Freedom;
 use crate::near_field::NearField;
 use crate::normals::Surface;
@@ -358,8 +360,9 @@ impl<'a> Verifier<'a> {
         };
         let leaders: Vec<&Verified> = self.distinct().take(N_RIVALS + 1).collect();
         let scores = parallel::map(leaders.len(), |i| {
-            let accurate = self.agreement(&leaders[i].pose, tolerance);
-            accurate.weighted_share * leaders[i].agreement.concord()
+            let pose = &leaders[i].pose;
+            let moving = (self.moving, &self.moving_grids());
+            weighted_share(moving, fixed, pose, tolerance) * leaders[i].agreement.concord()
         });
         let rival = scores[1..].iter().copied().fold(0.0, f64::max);
         if rival > 0.0 {

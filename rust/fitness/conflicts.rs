@@ -8,7 +8,6 @@
 
 use super::{FindsPartner, Witnesses};
 use crate::cloud::{Point, difference, distance_sq, dot};
-use crate::similarity::Similarity;
 
 /// Conflicts lie so many tolerances from the other surface: closer it may be noise, farther another surface.
 const FROM: f64 = 2.0;
@@ -23,25 +22,24 @@ pub(crate) fn lies_off(place: &Point, nearest: &Point, normal: &Point) -> bool {
     off_plane * off_plane > MIN_COSINE * MIN_COSINE * distance_sq(place, nearest)
 }
 
-/// Counts the witnesses of `from` that lie above or below the surface of the other cloud.
-pub(super) fn n_conflicts<P: FindsPartner>(
-    from: &Witnesses,
-    (witnesses, finder): (&Witnesses, &P),
-    to_from: &Similarity,
+/// Whether a witness that was moved to `place`, where nothing is within the tolerance, lies above or below the
+/// surface of the other cloud.
+#[inline]
+pub(super) fn conflicts<P: FindsPartner>(
+    place: &Point,
+    (to, finder): (&Witnesses, &P),
     tolerance_m: f64,
-) -> f64 {
+) -> bool {
     let (least_sq, most_m) = ((FROM * tolerance_m).powi(2), TO * tolerance_m);
-    let to = &witnesses.cloud;
-    let is_conflict = |i: &usize| {
-        let moved = to_from.apply(&from.cloud.points()[*i]);
-        if !to.is_near_box(&moved, most_m) {
-            return false;
-        }
-        let Some(partner) = finder.far_partner(&moved, most_m * most_m) else {
-            return false;
-        };
-        let (nearest, normal) = (&to.points()[partner], &to.surfaces[partner].normal);
-        distance_sq(&moved, nearest) > least_sq && lies_off(&moved, nearest, normal)
+    if !to.cloud.is_near_box(place, most_m) {
+        return false;
+    }
+    let Some(partner) = finder.far_partner(place, most_m * most_m) else {
+        return false;
     };
-    from.numbers().filter(is_conflict).count() as f64
+    let (nearest, normal) = (
+        &to.cloud.points()[partner],
+        &to.cloud.surfaces[partner].normal,
+    );
+    distance_sq(place, nearest) > least_sq && lies_off(place, nearest, normal)
 }

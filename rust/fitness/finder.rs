@@ -3,22 +3,27 @@
 use crate::cloud::Point;
 use crate::distance_field::NearestGrid;
 use crate::near_field::NearField;
-use crate::neighbors::NeighborIndex;
+use crate::neighbors::{NeighborIndex, WIDTH};
 
 /// Finds points of a cloud near a place.
 pub trait FindsPartner {
-    /// A point of the cloud at most `max_sq` from `place`, squared; a near one, if not the nearest.
-    fn partner(&self, place: &Point, max_sq: f64) -> Option<usize>;
+    /// For each of `places`, which should lie close together, a point of the cloud at most `max_sq` from there,
+    /// squared; a near one, if not the nearest. `None` for a place that is not finite.
+    fn partners(&self, places: &[Point; WIDTH], max_sq: f64) -> [Option<usize>; WIDTH];
 
-    /// The same where the point may be far away, and answers may be rougher.
-    fn far_partner(&self, place: &Point, max_sq: f64) -> Option<usize> {
-        self.partner(place, max_sq)
-    }
+    /// The same of one place, where the point may be far away, and answers may be rougher.
+    fn far_partner(&self, place: &Point, max_sq: f64) -> Option<usize>;
 }
 
 impl FindsPartner for NeighborIndex {
     #[inline]
-    fn partner(&self, place: &Point, max_sq: f64) -> Option<usize> {
+    fn partners(&self, places: &[Point; WIDTH], max_sq: f64) -> [Option<usize>; WIDTH] {
+        self.nearest_of_some_within(places, max_sq)
+            .map(|found| found.map(|neighbor| neighbor.index as usize))
+    }
+
+    #[inline]
+    fn far_partner(&self, place: &Point, max_sq: f64) -> Option<usize> {
         Some(self.nearest_within(place, max_sq)?.index as usize)
     }
 }
@@ -35,9 +40,11 @@ pub struct Grids<'a> {
 
 impl FindsPartner for Grids<'_> {
     #[inline]
-    fn partner(&self, place: &Point, max_sq: f64) -> Option<usize> {
-        let (partner, distance_sq) = self.fine.nearest(place)?;
-        (distance_sq <= max_sq).then_some(partner)
+    fn partners(&self, places: &[Point; WIDTH], max_sq: f64) -> [Option<usize>; WIDTH] {
+        places.each_ref().map(|place| {
+            let (partner, distance_sq) = self.fine.nearest(place)?;
+            (distance_sq <= max_sq).then_some(partner)
+        })
     }
 
     #[inline]

@@ -80,8 +80,8 @@ impl Witnesses {
     }
 
     /// The numbers of the witnesses among the points of the cloud, rising.
-    pub fn numbers(&self) -> impl Iterator<Item = usize> {
-        self.witnesses.iter().map(|i| *i as usize)
+    pub fn numbers(&self) -> &[u32] {
+        &self.witnesses
     }
 
     /// Number of witnesses.
@@ -96,7 +96,10 @@ impl Witnesses {
 
     /// Sum of the weights of the witnesses.
     pub fn total_weight(&self) -> f64 {
-        self.numbers().map(|i| self.weights[i]).sum()
+        self.numbers()
+            .iter()
+            .map(|i| self.weights[*i as usize])
+            .sum()
     }
 
     /// How much of the cloud's size one witness stands for; 0 where there are none.
