@@ -308,15 +308,7 @@ fn degenerate_shape(points: &[Point], origin: &Point) -> Option<&'static str> {
     const RELATIVE_WIDTH: f64 = 1e-9;
     const ROUNDING: f64 = 32.0 * f64::EPSILON;
     let a = points[0];
-    let farthest = |from: &Point| {
-        points
-            .iter()
-            .copied()
-            .max_by(|p, q| distance_sq(from, p).total_cmp(&distance_sq(from, q)))
-            .unwrap_or(*from)
-    };
-    let b = farthest(&a);
-    let length_sq = distance_sq(&a, &b);
+    let (length_sq, b) = largest(points, |p| distance_sq(&a, p));
     if length_sq == 0.0 {
         return Some("all points are identical");
     }
@@ -326,12 +318,7 @@ fn degenerate_shape(points: &[Point], origin: &Point) -> Option<&'static str> {
         let dot = d[0] * along[0] + d[1] * along[1] + d[2] * along[2];
         distance_sq(&d, &along.map(|v| v * dot / length_sq))
     };
-    let c = points
-        .iter()
-        .copied()
-        .max_by(|p, q| off_line_sq(p).total_cmp(&off_line_sq(q)))
-        .unwrap_or(a);
-    let widest_sq = off_line_sq(&c);
+    let (widest_sq, c) = largest(points, off_line_sq);
     let farthest_m = origin.iter().fold(0.0_f64, |most, v| most.max(v.abs())) + length_sq.sqrt();
     let threshold_m = RELATIVE_WIDTH * length_sq.sqrt() + ROUNDING * farthest_m;
     let threshold_sq = threshold_m * threshold_m;
@@ -345,12 +332,23 @@ fn degenerate_shape(points: &[Point], origin: &Point) -> Option<&'static str> {
         along[0] * across[1] - along[1] * across[0],
     ];
     let normal_sq = distance_sq(&normal, &[0.0; 3]);
-    let off_plane_sq = |p: &Point| {
+    let is_off_plane = |p: &Point| {
         let dot: f64 = (0..3).map(|axis| (p[axis] - a[axis]) * normal[axis]).sum();
-        dot * dot / normal_sq
+        dot * dot / normal_sq > threshold_sq
     };
-    let highest_sq = points.iter().map(off_plane_sq).fold(0.0, f64::max);
-    (highest_sq <= threshold_sq).then_some("all points lie in one plane")
+    (!points.iter().any(is_off_plane)).then_some("all points lie in one plane")
+}
+
+/// The largest `value` of all `points`, of which there is one at least, and the first point that has it.
+fn largest(points: &[Point], value: impl Fn(&Point) -> f64 + Sync + Send) -> (f64, Point) {
+    let larger = |best: (f64, Point), other: (f64, Point)| {
+        if other.0 > best.0 { other } else { best }
+    };
+    let none = (f64::NEG_INFINITY, points[0]);
+    let of_parts = parallel::map_chunks(points, |part| {
+        part.iter().map(|p| (value(p), *p)).fold(none, larger)
+    });
+    of_parts.into_iter().fold(none, larger)
 }
 
 #[cfg(test)]
