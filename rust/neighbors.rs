@@ -142,13 +142,13 @@ impl NeighborIndex {
         nearest.0.found().map(Neighbor::from)
     }
 
-    /// From every `stride`-th point, in their order, to the nearest one that does not coincide with it; of points
-    /// that all coincide nothing.
+    /// How far the nearest point that does not coincide with it lies from each of some points: one in `stride` of the
+    /// groups of eight that lie side by side. Of points that all coincide nothing.
     ///
     /// # Errors
     /// [`Error::Cancelled`].
     pub fn spacings_m(&self, stride: usize, progress: &Progress<'_>) -> Result<Vec<f64>> {
-        let places = Places::of_some(&self.tree, stride);
+        let places = Places::of_some_groups(&self.tree, stride);
         let fresh = || NearestElsewhere(Nearest::within(f64::INFINITY));
         let spacings = self.map_collected(&places, fresh, progress, |nearest| {
             nearest.0.found().map(|held| held.distance_sq.sqrt())

@@ -4,7 +4,7 @@
 //! never written down as metres.
 //! Reads: a neighbour index.  Leaves: a length in metres.
 //! Source: this project.  Deviates: nowhere.
-//! Absent on purpose: random samples; the sample is every so-many-th point, the same each time.
+//! Absent on purpose: random samples; the sample is one in so many groups of neighbours, the same each time.
 
 use crate::error::Result;
 use crate::neighbors::NeighborIndex;
@@ -13,8 +13,8 @@ use crate::progress::Progress;
 /// Most points whose spacing is looked at; quantiles change by about 1 % beyond.
 const SAMPLE_POINTS: usize = 10_000;
 
-/// The distance from a point to the nearest one at another position, as the `quantile` (0 to 1) of
-/// it over at most 10 000 evenly strided points. 0 where no two points differ in position.
+/// The distance from a point to the nearest one at another position, as the `quantile` (0 to 1) of it over at most
+/// about 10 000 points, in groups of eight neighbours all over the cloud. 0 where no two points differ in position.
 ///
 /// ```
 /// use tmchho::{neighbors::NeighborIndex, progress::Progress, spacing::nearest_spacing_quantile_m};

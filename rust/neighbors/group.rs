@@ -210,16 +210,15 @@ impl Places {
         }
     }
 
-    /// Every `stride`-th of the points of a tree.
-    pub(super) fn of_some(tree: &Blocks, stride: usize) -> Self {
-        let stride = stride.max(1) as u32;
-        let is_taken = |entry: &Entry| entry.index.is_multiple_of(stride);
-        let renumbered = |entry: Entry| Entry {
-            index: entry.index / stride,
-            ..entry
-        };
+    /// One in `stride` of the groups of eight points that lie side by side in a tree, numbered anew.
+    pub(super) fn of_some_groups(tree: &Blocks, stride: usize) -> Self {
+        let entries = tree.entries().enumerate();
+        let taken = entries.filter(|(at, _)| (at / WIDTH).is_multiple_of(stride.max(1)));
+        let renumbered = taken
+            .zip(0..)
+            .map(|((_, entry), index)| Entry { index, ..entry });
         Self {
-            entries: tree.entries().filter(is_taken).map(renumbered).collect(),
+            entries: renumbered.collect(),
         }
     }
 

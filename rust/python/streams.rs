@@ -378,7 +378,13 @@ pub(super) fn spacing_sample<'py>(
     let spacings = with_progress(py, None, |progress| {
         let cloud = Cloud::of_any_shape("cloud", given)?;
         let index = NeighborIndex::new(cloud.points());
-        index.spacings_m(cloud.len().div_ceil(n_sampled.max(1)), progress)
+        let stride = cloud.len().div_ceil(n_sampled.max(1)).max(1);
+        let n = cloud.len().div_ceil(stride);
+        let nearest = parallel::map_cheap(n, progress, |i| {
+            index.nearest_elsewhere(&cloud.points()[i * stride])
+        })?;
+        let spacings = nearest.into_iter().flatten().map(|n| n.distance_sq.sqrt());
+        Ok(spacings.collect::<Vec<f64>>())
     })?;
     briefly(|| Ok(from_vec(py, spacings)))
 }
