@@ -18,7 +18,7 @@ use crate::config::{Config, Mode};
 use crate::deadline::Deadline;
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, share_within};
-use crate::fitness::{self, Tolerance, agreement};
+use crate::fitness::{self, Support, Tolerance, agreement};
 use crate::freedom::Freedom;
 use crate::icp::{Clouds, IcpResult, IcpStop, icp};
 use crate::neighbors::NeighborIndex;
@@ -28,6 +28,7 @@ use crate::parallel;
 use crate::progress::{Progress, Stage};
 use crate::registration::{Registration, StageLog};
 use crate::similarity::Similarity;
+use crate::surface_cloud::SurfaceCloud;
 use crate::verdict::{Evidence, Rival, Strength, Verdict, judge};
 
 /// Voxels along the extent of the smaller cloud, where no edge is asked for.
@@ -203,7 +204,8 @@ fn route(
             tolerance,
         )
     };
-    let (before, after) = (agreed(&coarse_pose), agreed(&fine.target_from_source));
+    let (before, after) =
+        parallel::both(|| agreed(&coarse_pose), || agreed(&fine.target_from_source));
     // Robust mode keeps ICP's pose only where it is no worse, or where it heeds what is known; the
     // paper always takes it.
     let takes_fine = config.mode == Mode::Paper || !known.is_empty();
@@ -213,25 +215,21 @@ fn route(
     } else {
         (coarse_pose, before, None)
     };
-    let support = fitness::support(
-        source_surface,
-        target_surface,
-        &pose,
-        max_distance_m,
-        progress,
-    )?;
-    let support_back = fitness::support(
-        target_surface,
-        source_surface,
-        &pose.inverse(),
-        max_distance_m / pose.scale,
-        progress,
-    )?;
-    let most_offset_m = prepared.unit_m * config.verdict.most_surface_offset(agreed.conflict_share);
     let clouds = [&source_cleaned, &target_cleaned];
-    let surface_offset_m =
-        surface_offset_m(&prepared, &pose, clouds, most_offset_m, &config, progress)?;
-    let held_out = held_out_ratio(&prepared, &pose, max_distance_m);
+    let most_offset_m = prepared.unit_m * config.verdict.most_surface_offset(agreed.conflict_share);
+    let ((support, support_back), (surface_offset_m, held_out)) = parallel::both(
+        || {
+            let surfaces = [source_surface, target_surface];
+            supports(surfaces, &pose, max_distance_m, progress)
+        },
+        || {
+            parallel::both(
+                || surface_offset_m(&prepared, &pose, clouds, most_offset_m, &config, progress),
+                || held_out_ratio(&prepared, &pose, max_distance_m),
+            )
+        },
+    );
+    let (support, support_back, surface_offset_m) = (support?, support_back?, surface_offset_m?);
     let strength = Strength::new(
         &support.planes.information(),
         support.planes.weight(),
@@ -377,6 +375,20 @@ fn refine(
         known,
         &config.icp,
         progress,
+    )
+}
+
+/// What of each cloud lies on the other.
+fn supports(
+    [source, target]: [&SurfaceCloud; 2],
+    pose: &Similarity,
+    max_distance_m: f64,
+    progress: &Progress<'_>,
+) -> (Result<Support>, Result<Support>) {
+    let back = (pose.inverse(), max_distance_m / pose.scale);
+    parallel::both(
+        || fitness::support(source, target, pose, max_distance_m, progress),
+        || fitness::support(target, source, &back.0, back.1, progress),
     )
 }
 
