@@ -42,7 +42,8 @@ impl Scene {
             .collect();
         let cloud = Cloud::new(&points).expect("the ground is no plane");
         let index = NeighborIndex::new(cloud.points());
-        let spacing_m = spacing::median_spacing_m(&index);
+        let spacing_m = spacing::median_spacing_m(&index, &Progress::silent());
+        let spacing_m = spacing_m.expect("nobody says stop");
         Self {
             cloud,
             index,
@@ -83,7 +84,7 @@ fn stages(criterion: &mut Criterion) {
             black_box(NeighborIndex::new(points));
         });
         bench("spacing", &mut || {
-            black_box(spacing::median_spacing_m(&scene.index));
+            black_box(spacing::median_spacing_m(&scene.index, &silent).is_ok());
         });
         bench("normals", &mut || {
             black_box(normals::estimate(points, &scene.index, 20, &silent).is_ok());
