@@ -290,25 +290,27 @@ impl NeighborIndex {
         self.tree.ask_all(places, progress, scratch, begin, end)
     }
 
-    /// [`NeighborIndex::count_within`] of every one of `places`, in the order in which they were given.
+    /// [`NeighborIndex::count_within`] of every one of the points, in the order given.
     ///
     /// # Errors
     /// [`Error::Cancelled`].
-    pub fn count_all_within(
+    pub fn count_around_all(
         &self,
-        places: &Places,
         radius_m: f64,
         at_most: usize,
         progress: &Progress<'_>,
     ) -> Result<Vec<usize>> {
-        let count = Count::within(radius_m, at_most);
-        self.tree.ask_all(
-            places,
-            progress,
-            || ((), [count; WIDTH]),
-            |(), counted, _| *counted = count,
-            |(), counted, _| at_most - counted.n_left(),
-        )
+        let (count, places) = (Count::within(radius_m, at_most), self.places());
+        // The points of its own block are mostly enough: then nothing is sought any more.
+        let begin = |(): &mut (), counted: &mut Count, at: usize| {
+            *counted = count;
+            if !counted.take(places.point(at), self.tree.block(at / WIDTH), at / WIDTH) {
+                *counted = count;
+            }
+        };
+        let scratch = || ((), [count; WIDTH]);
+        let end = |(): &mut (), counted: &mut Count, _| at_most - counted.n_left();
+        self.tree.ask_all(&places, progress, scratch, begin, end)
     }
 
     /// What `answer` makes of each of `places` and the `k` points nearest to it (in no particular order,

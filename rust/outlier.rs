@@ -84,7 +84,7 @@ pub fn remove_outliers(
     };
     let points = cloud.points();
     let needed = options.min_neighbors.saturating_add(1); // the point itself is found as well
-    let n_near = index.count_all_within(&index.places(), radius_m, needed, progress)?;
+    let n_near = index.count_around_all(radius_m, needed, progress)?;
     let kept: Vec<u32> = (0_u32..)
         .zip(&n_near)
         .filter_map(|(i, n)| (*n == needed).then_some(i))

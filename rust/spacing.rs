@@ -10,7 +10,7 @@ use crate::error::Result;
 use crate::neighbors::NeighborIndex;
 use crate::progress::Progress;
 
-/// Most points whose spacing is looked at; quantiles change by about 1 % beyond.
+/// About so many points are looked at: in surveys of more, quantiles came out within 4 % of those of all points.
 const SAMPLE_POINTS: usize = 10_000;
 
 /// The distance from a point to the nearest one at another position, as the `quantile` (0 to 1) of it over at most

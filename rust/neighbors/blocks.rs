@@ -265,6 +265,12 @@ impl Blocks {
         points
     }
 
+    /// Block number `at`.
+    #[inline]
+    pub(super) fn block(&self, at: usize) -> &Block {
+        &self.blocks[at]
+    }
+
     /// The diagonal of the box round a block, on average over some of them; 0 where there are none.
     pub(super) fn mean_width_of_blocks(&self) -> f64 {
         mean_of_some(self.blocks.len(), |i| {
