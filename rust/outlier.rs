@@ -11,7 +11,7 @@ use crate::cloud::Cloud;
 use crate::error::{Error, Result, require_positive};
 use crate::neighbors::NeighborIndex;
 use crate::progress::Progress;
-use crate::spacing::nearest_spacing_quantile_m;
+use crate::spacing::rough_spacing_quantile_m;
 
 /// The derived radius is so many times the spacing that nine points in ten keep to: a scanner's
 /// points lie ten times farther apart at the far end of the scan than in the middle of it.
@@ -80,7 +80,7 @@ pub fn remove_outliers(
     }
     let radius_m = match options.radius_m {
         Some(radius_m) => require_positive("radius_m", radius_m)?,
-        None => RADIUS_IN_SPACINGS * nearest_spacing_quantile_m(index, SPACING_QUANTILE, progress)?,
+        None => RADIUS_IN_SPACINGS * rough_spacing_quantile_m(index, SPACING_QUANTILE, progress)?,
     };
     let points = cloud.points();
     let needed = options.min_neighbors.saturating_add(1); // the point itself is found as well

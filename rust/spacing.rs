@@ -4,17 +4,18 @@
 //! never written down as metres.
 //! Reads: a neighbour index.  Leaves: a length in metres.
 //! Source: this project.  Deviates: nowhere.
-//! Absent on purpose: random samples; the sample is one in so many groups of neighbours, the same each time.
+//! Absent on purpose: random samples; the points that are looked at are the same each time.
 
 use crate::error::Result;
 use crate::neighbors::NeighborIndex;
+use crate::parallel;
 use crate::progress::Progress;
 
-/// About so many points are looked at: in surveys of more, quantiles came out within 4 % of those of all points.
+/// About so many points are looked at: quantiles change by about 1 % beyond.
 const SAMPLE_POINTS: usize = 10_000;
 
 /// The distance from a point to the nearest one at another position, as the `quantile` (0 to 1) of it over at most
-/// about 10 000 points, in groups of eight neighbours all over the cloud. 0 where no two points differ in position.
+/// 10 000 evenly strided points. 0 where no two points differ in position.
 ///
 /// ```
 /// use tmchho::{neighbors::NeighborIndex, progress::Progress, spacing::nearest_spacing_quantile_m};
@@ -31,13 +32,50 @@ pub fn nearest_spacing_quantile_m(
     quantile: f64,
     progress: &Progress<'_>,
 ) -> Result<f64> {
+    Ok(quantile_of(
+        strided_spacings_m(index, SAMPLE_POINTS, progress)?,
+        quantile,
+    ))
+}
+
+/// [`nearest_spacing_quantile_m`] for radii that need no more than the order of the spacing: over groups of eight
+/// neighbours all over the cloud, in a fifth of the time in dense clouds, within 4 % of the quantile of all points.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`].
+pub fn rough_spacing_quantile_m(
+    index: &NeighborIndex,
+    quantile: f64,
+    progress: &Progress<'_>,
+) -> Result<f64> {
     let stride = index.len().div_ceil(SAMPLE_POINTS).max(1);
-    let mut spacings = index.spacings_m(stride, progress)?;
+    Ok(quantile_of(index.spacings_m(stride, progress)?, quantile))
+}
+
+/// How far the nearest point at another position lies from each of at most `n` evenly strided points; of points that
+/// all coincide nothing.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`].
+pub fn strided_spacings_m(
+    index: &NeighborIndex,
+    n: usize,
+    progress: &Progress<'_>,
+) -> Result<Vec<f64>> {
+    let stride = index.len().div_ceil(n.max(1)).max(1);
+    let nearest = parallel::map_cheap(index.len().div_ceil(stride), progress, |i| {
+        index.nearest_elsewhere(&index.points()[i * stride])
+    })?;
+    let found = nearest.into_iter().flatten();
+    Ok(found.map(|neighbor| neighbor.distance_sq.sqrt()).collect())
+}
+
+fn quantile_of(mut spacings: Vec<f64>, quantile: f64) -> f64 {
     if spacings.is_empty() {
-        return Ok(0.0);
+        return 0.0;
     }
     let rank = (quantile.clamp(0.0, 1.0) * (spacings.len() - 1) as f64).round() as usize;
-    Ok(*spacings.select_nth_unstable_by(rank, f64::total_cmp).1)
+    *spacings.select_nth_unstable_by(rank, f64::total_cmp).1
 }
 
 /// The median of the distance from a point to the nearest one at another position.

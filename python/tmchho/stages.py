@@ -305,7 +305,7 @@ def median_spacing(points: CloudLike) -> float:
     Parameters
     ----------
     points : CloudLike
-        (n, 3), finite. About 10 000 of more points are looked at, in groups all over the cloud.
+        (n, 3), finite. At most 10 000 evenly strided points are looked at.
 
     Returns
     -------

@@ -8,7 +8,7 @@ use crate::neighbors::NeighborIndex;
 use crate::normals::{self, Surface};
 use crate::parallel;
 use crate::progress::Progress;
-use crate::spacing::median_spacing_m;
+use crate::spacing::rough_spacing_quantile_m;
 use crate::surface_cloud::SurfaceCloud;
 
 /// The points of a cloud that testify to a pose, drawn at random. All points have a weight.
@@ -119,7 +119,7 @@ fn measured(
     /// A cell of so many median spacings that the surface crosses holds a point nine times in ten.
     const FILLED: f64 = 5.0;
     let spacing = |cloud: &SurfaceCloud| -> Result<f64> {
-        let median_m = median_spacing_m(&cloud.index, progress)?;
+        let median_m = rough_spacing_quantile_m(&cloud.index, 0.5, progress)?;
         Ok(if median_m > SPARSE * voxel_size_m {
             median_m
         } else {

@@ -15,6 +15,7 @@ use crate::neighbors::{Neighbor, NeighborIndex, Places, map_places};
 use crate::overlap;
 use crate::parallel;
 use crate::running_voxels::{self, Thinned};
+use crate::spacing::strided_spacings_m;
 use crate::{fuse, surface_area};
 
 /// Sums up points by voxels, part by part.
@@ -378,13 +379,7 @@ pub(super) fn spacing_sample<'py>(
     let spacings = with_progress(py, None, |progress| {
         let cloud = Cloud::of_any_shape("cloud", given)?;
         let index = NeighborIndex::new(cloud.points());
-        let stride = cloud.len().div_ceil(n_sampled.max(1)).max(1);
-        let n = cloud.len().div_ceil(stride);
-        let nearest = parallel::map_cheap(n, progress, |i| {
-            index.nearest_elsewhere(&cloud.points()[i * stride])
-        })?;
-        let spacings = nearest.into_iter().flatten().map(|n| n.distance_sq.sqrt());
-        Ok(spacings.collect::<Vec<f64>>())
+        strided_spacings_m(&index, n_sampled, progress)
     })?;
     briefly(|| Ok(from_vec(py, spacings)))
 }
