@@ -7,6 +7,7 @@
 
 use crate::error::{Error, Result};
 use crate::parallel;
+use crate::rank::nth_smallest;
 
 /// A point: x, y, z.
 pub type Point = [f64; 3];
@@ -210,25 +211,22 @@ impl Cloud {
             return 0.0;
         }
         let rank = ((self.points.len() - 1) as f64 * HELD) as usize;
-        let radius_sq = |centre: &Point| {
-            let mut distances: Vec<f64> =
-                self.points.iter().map(|p| distance_sq(p, centre)).collect();
-            *distances.select_nth_unstable_by(rank, f64::total_cmp).1
-        };
-        let median = std::array::from_fn(|axis| {
-            let mut values: Vec<f64> = self.points.iter().map(|p| p[axis]).collect();
-            let middle = values.len() / 2;
-            *values.select_nth_unstable_by(middle, f64::total_cmp).1
-        });
+        let n = self.points.len();
+        let radius_sq =
+            |centre: &Point| nth_smallest(n, rank, |i| distance_sq(&self.points[i], centre));
+        let median = std::array::from_fn(|axis| nth_smallest(n, n / 2, |i| self.points[i][axis]));
         // The median keeps stray points out; the mean of what it holds does not depend on the axes.
         let held_sq = radius_sq(&median);
-        let held: Vec<Point> = self
-            .points
-            .iter()
-            .copied()
-            .filter(|p| distance_sq(p, &median) <= held_sq)
-            .collect();
-        DIAGONAL_BY_RADIUS * radius_sq(&centroid(&held)).sqrt()
+        let is_held = |p: &&Point| distance_sq(p, &median) <= held_sq;
+        let sums = parallel::map_chunks(&self.points, |part| {
+            let held = part.iter().filter(is_held);
+            held.fold([0.0; 4], |[x, y, z, n], p| {
+                [x + p[0], y + p[1], z + p[2], n + 1.0]
+            })
+        });
+        let total = |of: usize| sums.iter().map(|sum| sum[of]).sum::<f64>();
+        let mean = std::array::from_fn(|axis| total(axis) / total(3));
+        DIAGONAL_BY_RADIUS * radius_sq(&mean).sqrt()
     }
 
     /// Mean of the points, local.

@@ -17,8 +17,9 @@ pub use surface::{DistanceMethod, surface_distances};
 use crate::cloud::Point;
 use crate::error::Result;
 use crate::neighbors::NeighborIndex;
-use crate::parallel::CHUNK;
+use crate::parallel;
 use crate::progress::Progress;
+use crate::rank::nth_smallest;
 
 /// The distance from each of `from` to the nearest point of `to`, in metres, in their order.
 ///
@@ -73,24 +74,27 @@ impl DistanceStatistics {
     /// assert_eq!(DistanceStatistics::from_distances(&[]), None);
     /// ```
     pub fn from_distances(distances_m: &[f64]) -> Option<Self> {
-        if distances_m.is_empty() || distances_m.iter().any(|d| !d.is_finite()) {
+        let (n, of) = (distances_m.len(), |i: usize| distances_m[i]);
+        if n == 0 || !parallel::all(n, |i| of(i).is_finite()) {
             return None;
         }
-        let n = distances_m.len() as f64;
-        let mean_m = sum_of(distances_m, |d| d) / n;
-        let mut values = distances_m.to_vec();
-        let median_m = quantile(&mut values, 0.5);
-        values.iter_mut().for_each(|d| *d = d.abs());
-        let percentile_95_m = quantile(&mut values, 0.95);
+        let mean_m = mean_of(distances_m, |d| d);
+        let extremes = parallel::map_chunks(distances_m, |part| {
+            let amounts = part.iter().map(|d| d.abs());
+            amounts.fold((f64::INFINITY, 0.0), |(least, most), d| {
+                (f64::min(least, d), f64::max(most, d))
+            })
+        });
+        let (bests, worsts) = (extremes.iter().map(|e| e.0), extremes.iter().map(|e| e.1));
         Some(Self {
-            n_points: distances_m.len(),
+            n_points: n,
             mean_m,
-            best_m: values.iter().copied().fold(f64::INFINITY, f64::min),
-            worst_m: values.iter().copied().fold(0.0, f64::max),
-            std_m: (sum_of(distances_m, |d| (d - mean_m) * (d - mean_m)) / n).sqrt(),
-            rms_m: (sum_of(distances_m, |d| d * d) / n).sqrt(),
-            median_m,
-            percentile_95_m,
+            best_m: bests.fold(f64::INFINITY, f64::min),
+            worst_m: worsts.fold(0.0, f64::max),
+            std_m: mean_of(distances_m, |d| (d - mean_m) * (d - mean_m)).sqrt(),
+            rms_m: mean_of(distances_m, |d| d * d).sqrt(),
+            median_m: quantile(n, 0.5, of),
+            percentile_95_m: quantile(n, 0.95, |i| of(i).abs()),
         })
     }
 }
@@ -103,23 +107,21 @@ pub fn share_within(distances_m: &[f64], tolerance_m: f64) -> f64 {
     n_within as f64 / distances_m.len().max(1) as f64
 }
 
-/// A sum of partial sums: its error stays small, and its bits the same, however many there are.
-fn sum_of(values: &[f64], f: impl Fn(f64) -> f64) -> f64 {
+/// By a sum of partial sums: its error stays small, and its bits the same, however many there are.
+fn mean_of(values: &[f64], f: impl Fn(f64) -> f64 + Sync + Send) -> f64 {
     let partial = |chunk: &[f64]| chunk.iter().map(|v| f(*v)).sum::<f64>();
-    values.chunks(CHUNK).map(partial).sum()
+    parallel::map_chunks(values, partial).iter().sum::<f64>() / values.len() as f64
 }
 
-/// Between the two values round the rank, in proportion. Puts `values` in another order.
-fn quantile(values: &mut [f64], share: f64) -> f64 {
-    let rank = share * (values.len() - 1) as f64;
-    let (_, below, rest) = values.select_nth_unstable_by(rank.floor() as usize, f64::total_cmp);
-    // At the last rank there is nothing above.
-    let above = rest
-        .iter()
-        .copied()
-        .min_by(f64::total_cmp)
-        .unwrap_or(*below);
-    *below + (above - *below) * rank.fract()
+/// Between the two values round the rank, in proportion, of `value(i)` of all `i` below `n`.
+fn quantile(n: usize, share: f64, value: impl Fn(usize) -> f64 + Sync + Send) -> f64 {
+    let rank = share * (n - 1) as f64;
+    let at = rank.floor() as usize;
+    let below = nth_smallest(n, at, &value);
+    match rank.fract() {
+        0.0 => below,
+        fract => below + (nth_smallest(n, at + 1, &value) - below) * fract,
+    }
 }
 
 #[cfg(test)]

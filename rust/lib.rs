@@ -10,6 +10,7 @@ pub mod freedom;
 pub(crate) mod parallel;
 pub mod progress;
 pub mod random;
+pub(crate) mod rank;
 pub mod rigid;
 pub mod similarity;
 pub(crate) mod vectorize;

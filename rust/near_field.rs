@@ -13,6 +13,7 @@
 use std::sync::OnceLock;
 
 use crate::cloud::{Point, bounds, distance_sq};
+use crate::parallel;
 use crate::vectorize::widest;
 
 const NOBODY: u32 = u32::MAX;
@@ -121,18 +122,15 @@ impl NearField {
     }
 
     fn sort_into_blocks(&mut self, n_blocks: usize) {
-        let placed: Vec<(usize, [f32; 3])> = (self.points.iter())
-            .map(|p| {
-                let at = self.in_cells(p);
-                let block: [usize; 3] = std::array::from_fn(|axis| {
-                    (at[axis] as usize / EDGE).min(self.n_blocks[axis] - 1)
-                });
-                let [nx, ny, _] = self.n_blocks;
-                let within =
-                    std::array::from_fn(|axis| (at[axis] - (block[axis] * EDGE) as f64) as f32);
-                ((block[2] * ny + block[1]) * nx + block[0], within)
-            })
-            .collect();
+        let placed = parallel::map(self.points.len(), |i| {
+            let at = self.in_cells(&self.points[i]);
+            let block: [usize; 3] =
+                std::array::from_fn(|axis| (at[axis] as usize / EDGE).min(self.n_blocks[axis] - 1));
+            let [nx, ny, _] = self.n_blocks;
+            let within: [f32; 3] =
+                std::array::from_fn(|axis| (at[axis] - (block[axis] * EDGE) as f64) as f32);
+            ((block[2] * ny + block[1]) * nx + block[0], within)
+        });
         let mut starts = vec![0_u32; n_blocks + 1];
         for (block, _) in &placed {
             starts[block + 1] += 1;

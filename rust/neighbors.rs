@@ -30,6 +30,7 @@ pub(crate) use group::map_places;
 
 use crate::cloud::{Point, distance_sq};
 use crate::error::{Error, Result};
+use crate::parallel;
 use crate::progress::Progress;
 
 /// A point that was found.
@@ -82,7 +83,7 @@ impl NeighborIndex {
         }
         Self {
             tree: Blocks::new(&entries),
-            points: OnceLock::new(),
+            points: parallel::map(entries.len(), |i| entries[i].point).into(),
             general: OnceLock::new(),
         }
     }
@@ -244,7 +245,7 @@ impl NeighborIndex {
             });
         }
         let is_finite = |at| places.point(at).iter().all(|v| v.is_finite());
-        if !(0..places.len()).all(is_finite) {
+        if !parallel::all(places.len(), is_finite) {
             return Err(Error::argument(
                 "places",
                 "hold a coordinate that is not finite",
@@ -427,7 +428,6 @@ impl NeighborIndex {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::parallel;
     use crate::random::Stream;
     use proptest::prelude::*;
 

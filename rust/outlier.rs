@@ -10,6 +10,7 @@
 use crate::cloud::Cloud;
 use crate::error::{Error, Result, require_positive};
 use crate::neighbors::NeighborIndex;
+use crate::parallel;
 use crate::progress::Progress;
 use crate::spacing::rough_spacing_quantile_m;
 
@@ -85,11 +86,13 @@ pub fn remove_outliers(
     let points = cloud.points();
     let needed = options.min_neighbors.saturating_add(1); // the point itself is found as well
     let n_near = index.count_around_all(radius_m, needed, progress)?;
-    let kept: Vec<u32> = (0_u32..)
-        .zip(&n_near)
-        .filter_map(|(i, n)| (*n == needed).then_some(i))
-        .collect();
-    let kept_points = kept.iter().map(|&i| points[i as usize]).collect();
+    let kept = parallel::chunks(points.len(), progress, |range| {
+        let is_kept = |i: &usize| n_near[*i] == needed;
+        let kept = range.filter(is_kept).map(|i| i as u32);
+        kept.collect::<Vec<u32>>()
+    })?;
+    let kept = kept.concat();
+    let kept_points = parallel::map(kept.len(), |at| points[kept[at] as usize]);
     Ok(OutlierResult {
         cloud: Cloud::from_local(cloud.origin(), kept_points),
         kept,

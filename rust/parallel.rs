@@ -17,6 +17,16 @@ pub(crate) fn map<T: Send>(n: usize, f: impl Fn(usize) -> T + Sync + Send) -> Ve
     (0..n).into_par_iter().map(f).collect()
 }
 
+/// `f` of every index below `n`, which must not matter to each other.
+pub(crate) fn for_each(n: usize, f: impl Fn(usize) + Sync + Send) {
+    (0..n).into_par_iter().for_each(f);
+}
+
+/// Whether `f` holds for every index below `n`.
+pub(crate) fn all(n: usize, f: impl Fn(usize) -> bool + Sync + Send) -> bool {
+    (0..n).into_par_iter().all(f)
+}
+
 /// `f` of every index below `n`, in order, in chunks of [`CHUNK`], giving up between chunks once
 /// the caller wants to stop.
 pub(crate) fn map_cheap<T: Send>(

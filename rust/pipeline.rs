@@ -352,12 +352,24 @@ fn refine(
     config: &Config,
     progress: &Progress<'_>,
 ) -> Result<IcpResult> {
+    /// The pose is right to less than this, in the unit: what stands farther beyond the box of the target than that and the
+    /// reach finds no partner, as does most of a source of many times the area.
+    const MOST_MOVED: f64 = 0.05;
     let (source, target) = (&prepared.source.cloud, &prepared.target.cloud);
-    let n_fitted = match config.mode {
-        Mode::Robust => n_fitted(source.len()),
-        Mode::Paper => source.len(),
+    let fitted = match config.mode {
+        Mode::Robust => {
+            let mut fitted = source.drawn_in_order(n_fitted(source.len()));
+            let reach_m = config.icp.max_distance_m.unwrap_or(f64::INFINITY);
+            let margin_m = reach_m + MOST_MOVED * prepared.unit_m;
+            let is_near = |i: &u32| {
+                let moved = coarse_pose.apply(&source.points()[*i as usize]);
+                target.is_near_box(&moved, margin_m)
+            };
+            fitted.retain(is_near);
+            fitted
+        }
+        Mode::Paper => source.drawn_in_order(source.len()),
     };
-    let fitted = source.drawn_in_order(n_fitted);
     let surfaces: Vec<_> = fitted
         .iter()
         .map(|i| source.surfaces[*i as usize])

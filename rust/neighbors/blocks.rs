@@ -259,7 +259,7 @@ impl Blocks {
     /// The points by rising index.
     pub(super) fn points(&self) -> Vec<Point> {
         let mut points = vec![[0.0; 3]; self.n_points];
-        for entry in self.entries() {
+        for entry in (0..self.n_points).map(|at| self.entry(at)) {
             points[entry.index as usize] = entry.point;
         }
         points
@@ -285,15 +285,14 @@ impl Blocks {
         self.nodes.iter().any(is_pile)
     }
 
-    /// The points with their indices, in the order of the blocks.
-    pub(super) fn entries(&self) -> impl Iterator<Item = Entry> {
-        let of_block = |block: &'_ Block| {
-            std::array::from_fn::<_, WIDTH, _>(|lane| Entry {
-                point: block.coordinates.map(|along| along[lane]),
-                index: block.indices[lane],
-            })
-        };
-        self.blocks.iter().flat_map(of_block).take(self.n_points)
+    /// Point number `at` in the order of the blocks, with its index.
+    #[inline]
+    pub(super) fn entry(&self, at: usize) -> Entry {
+        let (block, lane) = (&self.blocks[at / WIDTH], at % WIDTH);
+        Entry {
+            point: block.coordinates.map(|along| along[lane]),
+            index: block.indices[lane],
+        }
     }
 
     /// Shows `search` every block within its reach, near ones first.
@@ -375,11 +374,11 @@ mod tests {
         let mut stream = Stream::new(1, "blocks", 0);
         let points: Vec<Point> = (0..5003).map(|_| [0; 3].map(|_| stream.normal())).collect();
         let tree = Blocks::new(&into_blocks(&points));
-        assert_eq!(tree.entries().count(), points.len());
-        assert!(
-            tree.entries()
-                .all(|entry| entry.point == points[entry.index as usize])
-        );
+        assert_eq!(tree.len(), points.len());
+        for entry in (0..tree.len()).map(|at| tree.entry(at)) {
+            assert_eq!(entry.point, points[entry.index as usize]);
+        }
+        assert_eq!(tree.points(), points);
         for node in &tree.nodes {
             for lane in (0..WIDTH).filter(|lane| node.least_index[*lane] != u32::MAX) {
                 let child = node.first_child as usize + lane;

@@ -3,6 +3,8 @@
 //! Why: eight neighbours would open nearly the same boxes one after the other. Together they open each
 //! box once, and those of them that it does not concern are told by one vector of distances.
 
+use std::sync::atomic::{AtomicU32, Ordering};
+
 use super::blocks::{
     Block, Blocks, Node, Search, WIDTH, greater, lanes_within, mean_of_some, smaller,
     sum_of_squares,
@@ -206,17 +208,18 @@ impl Places {
     /// The points of a tree, which are sorted already.
     pub(super) fn of(tree: &Blocks) -> Self {
         Self {
-            entries: tree.entries().collect(),
+            entries: parallel::map(tree.len(), |at| tree.entry(at)),
         }
     }
 
     /// One in `stride` of the groups of eight points that lie side by side in a tree, numbered anew.
     pub(super) fn of_some_groups(tree: &Blocks, stride: usize) -> Self {
-        let entries = tree.entries().enumerate();
-        let taken = entries.filter(|(at, _)| (at / WIDTH).is_multiple_of(stride.max(1)));
-        let renumbered = taken
-            .zip(0..)
-            .map(|((_, entry), index)| Entry { index, ..entry });
+        let groups = (0..tree.len()).step_by(stride.max(1) * WIDTH);
+        let taken = groups.flat_map(|first| first..tree.len().min(first + WIDTH));
+        let renumbered = taken.zip(0..).map(|(at, index)| Entry {
+            index,
+            ..tree.entry(at)
+        });
         Self {
             entries: renumbered.collect(),
         }
@@ -256,12 +259,12 @@ impl Places {
 
     /// Results, in chunks, in the order in which the places were given.
     fn in_given_order<T: Copy + Send + Sync>(&self, chunks: &[Vec<T>]) -> Vec<T> {
-        let mut rank = vec![0_u32; self.len()];
-        for (at, entry) in (0_u32..).zip(&self.entries) {
-            rank[entry.index as usize] = at;
-        }
+        let rank = parallel::map(self.len(), |_| AtomicU32::new(0));
+        parallel::for_each(self.len(), |at| {
+            rank[self.given(at)].store(at as u32, Ordering::Relaxed);
+        });
         parallel::map(rank.len(), |given| {
-            let at = rank[given] as usize;
+            let at = rank[given].load(Ordering::Relaxed) as usize;
             chunks[at / parallel::CHUNK][at % parallel::CHUNK]
         })
     }
