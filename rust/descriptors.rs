@@ -35,22 +35,21 @@ pub struct Described {
 }
 
 impl Described {
-    /// Describes one point of `cloud` for each cell of edge `voxel_m`, by what lies within `radius_m` of
-    /// each point; normals come from within `normal_radius_m`. Points without a normal are left
-    /// out.
+    /// Describes `points`, some of `cloud`, by those of them within `radius_m` of each; normals come from the points of
+    /// the cloud within `normal_radius_m`. Points without a normal are left out.
     ///
     /// # Errors
     /// [`crate::Error::InvalidArgument`] for lengths that are not above 0,
     /// [`crate::Error::Cancelled`].
     pub fn new(
         cloud: &SurfaceCloud,
-        voxel_m: f64,
+        points: &[Point],
         normal_radius_m: f64,
         radius_m: f64,
         progress: &Progress<'_>,
     ) -> Result<Self> {
         // In the order of places: what is described together lies together.
-        let thinned = Places::new(&cloud.one_for_each_cell(voxel_m));
+        let thinned = Places::new(points);
         let thinned: Vec<Point> = (0..thinned.len()).map(|at| *thinned.point(at)).collect();
         let surfaces =
             normals::estimate_within(&thinned, &cloud.index, normal_radius_m, 3, progress)?;
@@ -244,7 +243,9 @@ mod tests {
     }
 
     fn described(pose: &Rigid) -> Described {
-        Described::new(&bumpy(pose), 0.03, 0.04, 0.12, &Progress::silent()).unwrap()
+        let bumpy = bumpy(pose);
+        let thinned = bumpy.one_for_each_cell(0.03);
+        Described::new(&bumpy, &thinned, 0.04, 0.12, &Progress::silent()).unwrap()
     }
 
     fn product(a: &Descriptor, b: &Descriptor) -> f32 {
@@ -319,7 +320,8 @@ mod tests {
             .collect();
         let cloud = Cloud::of_any_shape("bowl", &bowl).unwrap();
         let cloud = SurfaceCloud::new(&cloud, 0, &Progress::silent()).unwrap();
-        let bowl = Described::new(&cloud, 0.1, 0.15, 0.3, &Progress::silent()).unwrap();
+        let thinned = cloud.one_for_each_cell(0.1);
+        let bowl = Described::new(&cloud, &thinned, 0.15, 0.3, &Progress::silent()).unwrap();
         let inside = bowl
             .points
             .iter()

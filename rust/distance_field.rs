@@ -115,7 +115,7 @@ impl NearestGrid {
 
     fn fill(&mut self) {
         let [nx, ny, nz] = self.size;
-        let cell_of: Vec<[u16; 3]> = self.points.iter().map(|p| self.cell_of(p)).collect();
+        let cell_of = parallel::map(self.points.len(), |i| self.cell_of(&self.points[i]));
         // Slabs of constant z for the first two axes.
         let mut slabs = vec![NOBODY; nx * ny * nz];
         for (i, cell) in cell_of.iter().enumerate() {

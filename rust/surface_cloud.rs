@@ -92,14 +92,20 @@ impl SurfaceCloud {
         numbers.iter().map(|i| points[*i as usize]).collect()
     }
 
-    /// A random point in each occupied cell of a grid of edge `cell_m` (above 0), by cell.
+    /// A random point in each occupied cell of a grid of edge `cell_m` (above 0), by cell. Beyond 2³¹ cells from the
+    /// origin cells are not told apart.
     pub fn one_for_each_cell(&self, cell_m: f64) -> Vec<Point> {
-        let cell_of = |p: &Point| p.map(|v| (v / cell_m).floor() as i64);
-        let drawn = self.points_of(&self.drawn);
-        let mut by_cell: Vec<([i64; 3], usize)> = (drawn.iter().map(cell_of).zip(0..)).collect();
+        let drawn = |rank: usize| self.points()[self.drawn[rank] as usize];
+        let mut by_cell = parallel::map(self.len(), |rank| {
+            let cell = drawn(rank).map(|v| (v / cell_m).floor() as i32);
+            (cell, rank as u32)
+        });
         parallel::sort_unstable(&mut by_cell);
         by_cell.dedup_by_key(|(cell, _)| *cell);
-        by_cell.into_iter().map(|(_, i)| drawn[i]).collect()
+        by_cell
+            .iter()
+            .map(|(_, rank)| drawn(*rank as usize))
+            .collect()
     }
 
     /// Number of points.

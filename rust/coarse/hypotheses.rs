@@ -51,24 +51,27 @@ pub(super) fn propose(
     freedom: Freedom,
     progress: &Progress<'_>,
 ) -> Result<Vec<Hypothesis>> {
-    let describe = |cloud: &SurfaceCloud, voxel_m: f64| {
-        let (normal_m, radius_m) = (NORMAL_RADIUS * unit_m, RADIUS * unit_m);
-        Described::new(
-            cloud,
-            voxel_m,
-            normal_m.max(1.5 * voxel_m),
-            radius_m.max(3.75 * voxel_m),
-            progress,
-        )
+    let thinned = |voxel_m: f64| {
+        let of = |cloud: &SurfaceCloud| cloud.one_for_each_cell(voxel_m);
+        parallel::both(|| of(moving), || of(fixed))
     };
     let mut voxel_m = VOXEL * unit_m;
-    let count = |cloud: &SurfaceCloud| cloud.one_for_each_cell(voxel_m).len() as f64;
-    let product = count(moving) * count(fixed);
+    let mut points = thinned(voxel_m);
+    let product = points.0.len() as f64 * points.1.len() as f64;
     if product > MAX_PRODUCT {
         // Points grow with the square of the voxel's edge, their product with the fourth power.
         voxel_m *= (product / MAX_PRODUCT).powf(0.25);
+        points = thinned(voxel_m);
     }
-    let (a, b) = parallel::both(|| describe(moving, voxel_m), || describe(fixed, voxel_m));
+    let describe = |cloud: &SurfaceCloud, points: &[Point]| {
+        let normal_m = (NORMAL_RADIUS * unit_m).max(1.5 * voxel_m);
+        let radius_m = (RADIUS * unit_m).max(3.75 * voxel_m);
+        Described::new(cloud, points, normal_m, radius_m, progress)
+    };
+    let (a, b) = parallel::both(
+        || describe(moving, &points.0),
+        || describe(fixed, &points.1),
+    );
     let (a, b) = (a?, b?);
     let matches = mutual_matches(&a.descriptors, &b.descriptors);
     let tolerance_m = TOLERANCE_IN_VOXELS * voxel_m;
