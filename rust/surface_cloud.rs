@@ -26,6 +26,8 @@ pub struct SurfaceCloud {
     pub index: NeighborIndex,
     /// The numbers of all points at random.
     drawn: Vec<u32>,
+    /// When each point was drawn.
+    turns: Vec<u32>,
     low: Point,
     high: Point,
 }
@@ -42,13 +44,19 @@ impl SurfaceCloud {
             NeighborIndex::renumbered(&cloud.points().iter().map(about).collect::<Vec<_>>());
         let surfaces = normals::estimate(index.points(), &index, N_NORMAL_NEIGHBORS, progress)?;
         let (low, high) = bounds(index.points());
-        let drawn =
-            Stream::new(seed, "order of points", 0).sample_indices(cloud.len(), cloud.len());
+        let mut order = Stream::new(seed, "order of points", 0);
+        let drawn = order.sample_indices(cloud.len(), cloud.len());
+        let drawn: Vec<u32> = drawn.into_iter().map(|i| i as u32).collect();
+        let mut turns = vec![0; drawn.len()];
+        for (i, turn) in drawn.iter().zip(0..) {
+            turns[*i as usize] = turn;
+        }
         Ok(Self {
             origin: std::array::from_fn(|axis| cloud.origin()[axis] + middle[axis]),
             surfaces,
             index,
-            drawn: drawn.into_iter().map(|i| i as u32).collect(),
+            drawn,
+            turns,
             low,
             high,
         })
@@ -64,6 +72,7 @@ impl SurfaceCloud {
             surfaces: self.surfaces.iter().map(Surface::mirrored).collect(),
             index: NeighborIndex::new(&points),
             drawn: self.drawn.clone(),
+            turns: self.turns.clone(),
             low,
             high,
         }
@@ -95,16 +104,27 @@ impl SurfaceCloud {
     /// A random point in each occupied cell of a grid of edge `cell_m` (above 0), by cell. Beyond 2³¹ cells from the
     /// origin cells are not told apart.
     pub fn one_for_each_cell(&self, cell_m: f64) -> Vec<Point> {
-        let drawn = |rank: usize| self.points()[self.drawn[rank] as usize];
-        let mut by_cell = parallel::map(self.len(), |rank| {
-            let cell = drawn(rank).map(|v| (v / cell_m).floor() as i32);
-            (cell, rank as u32)
+        let points = self.points();
+        let parts = parallel::map(points.len().div_ceil(parallel::CHUNK), |part| {
+            // What follows each other lies side by side, mostly in one cell: fewer are left to be sorted.
+            let mut first_drawn: Vec<([i32; 3], u32)> = Vec::new();
+            let range = part * parallel::CHUNK..points.len().min((part + 1) * parallel::CHUNK);
+            for (p, turn) in points[range.clone()].iter().zip(&self.turns[range]) {
+                let cell = p.map(|v| (v / cell_m).floor() as i32);
+                match first_drawn.last_mut() {
+                    Some((last, first)) if *last == cell => *first = (*first).min(*turn),
+                    _ => first_drawn.push((cell, *turn)),
+                }
+            }
+            first_drawn
         });
+        let mut by_cell = parts.concat();
         parallel::sort_unstable(&mut by_cell);
         by_cell.dedup_by_key(|(cell, _)| *cell);
+        let drawn = |turn: u32| self.drawn[turn as usize] as usize;
         by_cell
             .iter()
-            .map(|(_, rank)| drawn(*rank as usize))
+            .map(|(_, turn)| points[drawn(*turn)])
             .collect()
     }
 
@@ -171,6 +191,12 @@ mod tests {
         let chosen = cloud.one_for_each_cell(0.25);
         assert_eq!(chosen.len(), cells_of(&chosen).len());
         assert_eq!(cells_of(&chosen), cells_of(cloud.points()));
+        // Of each cell what was drawn first.
+        let in_turn = cloud.points_of(cloud.drawn(4000));
+        assert!(chosen.iter().all(|p| {
+            let cell = cells_of(&[*p]);
+            in_turn.iter().find(|q| cells_of(&[**q]) == cell) == Some(p)
+        }));
     }
 
     #[test]

@@ -8,7 +8,6 @@ use crate::neighbors::NeighborIndex;
 use crate::normals::{self, Surface};
 use crate::parallel;
 use crate::progress::Progress;
-use crate::rank::nth_smallest;
 use crate::spacing::rough_spacing_quantile_m;
 use crate::surface_cloud::SurfaceCloud;
 
@@ -166,20 +165,13 @@ fn curvature_weights(
 /// Of the points where there is a surface; 0 where there are none.
 fn median_curvature(surfaces: &[Surface]) -> f64 {
     let is_known = |s: &&Surface| s.normal != Surface::NONE.normal;
-    let of_parts = parallel::map_chunks(surfaces, |part| part.iter().filter(is_known).count());
-    let n_known: usize = of_parts.into_iter().sum();
-    if n_known == 0 {
+    let mut curvatures: Vec<f64> =
+        (surfaces.iter().filter(is_known).map(|s| s.curvature)).collect();
+    if curvatures.is_empty() {
         return 0.0;
     }
-    // What is not known comes last.
-    let curvature = |s: &Surface| {
-        Some(s)
-            .filter(is_known)
-            .map_or(f64::INFINITY, |s| s.curvature)
-    };
-    nth_smallest(surfaces.len(), (n_known - 1) / 2, |i| {
-        curvature(&surfaces[i])
-    })
+    let middle = (curvatures.len() - 1) / 2;
+    *curvatures.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]
