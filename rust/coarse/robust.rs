@@ -1,7 +1,7 @@
 //! The robust search: many starts, quick descents, few verifications.
 //!
 //! Every length is a share of the extent of the smaller cloud, which is the one that moves: it is
-//! the cloud that has to find its place. Starts are rotations × places; each runs down into its
+//! the cloud that has to find its place, however many points it has. Starts are rotations × places; each runs down into its
 //! basin on a nearest-point grid; the best distinct basins are refined and ranked by how far both
 //! clouds agree. Where the best pose does not stand out, another round tries more starts.
 //! Source: ours; measured in docs/robust_search.md.
@@ -73,6 +73,17 @@ impl StandingOut {
             && !lies_apart
             && !conflicts
     }
+}
+
+/// Whether `source` is the cloud that has to find its place in `target`: it shows clearly less of the site, or about as
+/// much with fewer points.
+fn is_to_move(source: &Witnesses, target: &Witnesses) -> bool {
+    /// A cloud of so many times the other's size shows more.
+    const CLEARLY: usize = 2;
+    let has_fewer_points = source.cloud.len() <= target.cloud.len();
+    let shows_less = CLEARLY * source.size < target.size;
+    let shows_more = CLEARLY * target.size < source.size;
+    shows_less || (has_fewer_points && !shows_more)
 }
 
 /// Where the poses of a round come from.
@@ -171,7 +182,7 @@ pub(crate) fn search_asking(
 ) -> Result<CoarseResult> {
     options.check()?;
     let unit_m = require_positive("unit_m", problem.unit_m)?;
-    let source_moves = problem.source.cloud.len() <= problem.target.cloud.len();
+    let source_moves = is_to_move(problem.source, problem.target);
     let (moving, fixed) = if source_moves {
         (problem.source, problem.target)
     } else {
@@ -344,6 +355,29 @@ pub(crate) fn search_asking(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::{Cloud, Point};
+    use crate::surface_cloud::SurfaceCloud;
+
+    #[test]
+    fn what_shows_clearly_less_moves_else_what_has_fewer_points() {
+        /// A bumpy strip, 1 wide.
+        fn strip(length: f64, n: usize) -> SurfaceCloud {
+            let mut stream = Stream::new(1, "strip", n as u64);
+            let points: Vec<Point> = (0..n)
+                .map(|_| [length * stream.uniform(), stream.uniform()])
+                .map(|[x, y]| [x, y, 0.1 * (9.0 * x).sin() * (7.0 * y).cos()])
+                .collect();
+            SurfaceCloud::new(&Cloud::new(&points).unwrap(), 0, &Progress::silent()).unwrap()
+        }
+        let moves = |source: SurfaceCloud, target: SurfaceCloud| {
+            let clouds = [source, target];
+            let [a, b] = Witnesses::of_both(clouds, 500, 0.1, 0.01, &Progress::silent()).unwrap();
+            (is_to_move(&a, &b), is_to_move(&b, &a))
+        };
+        // Eight times the area with half of the points, which are sparser than the voxels.
+        assert_eq!(moves(strip(1.0, 8000), strip(8.0, 4000)), (true, false));
+        assert_eq!(moves(strip(1.0, 8000), strip(1.2, 4000)), (false, true));
+    }
 
     #[test]
     fn what_costs_more_is_tried_later() {

@@ -67,6 +67,8 @@ pub(super) struct Verified {
     /// Takes the moving cloud to the fixed one.
     pub(super) pose: Similarity,
     pub(super) agreement: Agreement,
+    /// What was free when it was refined.
+    freedom: Freedom,
     /// Whether it was brought to rest.
     is_final: bool,
 }
@@ -175,7 +177,13 @@ impl<'a> Verifier<'a> {
             if i >= n_certain && deadline.is_over() {
                 return Ok(None);
             }
-            Ok(Some(self.scored(self.refined(&poses[i], freedom), false)))
+            let refined = self.scored(self.refined(&poses[i], freedom), freedom, false);
+            // Where noise is as large as a voxel, wrong poses that are free score more than a right one that is not, until
+            // it is at rest.
+            Ok(Some(match freedom == self.freedom {
+                true => refined,
+                false => self.at_rest(&refined),
+            }))
         });
         // Somebody may have said stop meanwhile: then nothing more is told.
         let refined = refined.into_iter().collect::<Result<Vec<_>>>()?;
@@ -263,36 +271,51 @@ impl<'a> Verifier<'a> {
     /// slides into the best one was no rival.
     fn finish_leaders(&mut self, deadline: Deadline, progress: &Progress<'_>) -> Result<()> {
         for _ in 0..MAX_FINISHING_TURNS {
-            let leaders: Vec<Similarity> = self
-                .distinct()
-                .take(N_FINALISTS)
+            let leaders: Vec<Verified> = (self.distinct().take(N_FINALISTS))
                 .filter(|v| !v.is_final)
-                .map(|v| v.pose)
+                .copied()
                 .collect();
             if leaders.is_empty() || deadline.is_over() {
                 break;
             }
             let finished = parallel::map(leaders.len(), |i| {
                 progress.check()?;
-                let pose =
-                    self.to_planes(leaders[i], Some(&self.fixed_field), self.freedom, FINISH);
-                Ok(self.scored(pose, true))
+                Ok(self.at_rest(&leaders[i]))
             });
             let finished = finished.into_iter().collect::<Result<Vec<_>>>()?;
             self.n_evaluations += leaders.len() * (FINISH.n_steps + 1);
             // What was brought to rest replaces what it came from.
-            self.verified.retain(|v| !leaders.contains(&v.pose));
+            self.verified
+                .retain(|v| leaders.iter().all(|leader| leader.pose != v.pose));
             self.verified.extend(finished);
             self.rank();
         }
         Ok(())
     }
 
-    fn scored(&self, pose: Similarity, is_final: bool) -> Verified {
+    /// Brought to rest: first in what was free when it was refined, then in all that is free, unless that draws it off.
+    fn at_rest(&self, refined: &Verified) -> Verified {
+        let finished = |from: &Verified, freedom: Freedom| {
+            let pose = self.to_planes(from.pose, Some(&self.fixed_field), freedom, FINISH);
+            self.scored(pose, freedom, true)
+        };
+        if refined.freedom == self.freedom {
+            return finished(refined, self.freedom);
+        }
+        let bound = finished(refined, refined.freedom);
+        let free = finished(&bound, self.freedom);
+        match free.agreement.score() < bound.agreement.score() {
+            true => bound,
+            false => free,
+        }
+    }
+
+    fn scored(&self, pose: Similarity, freedom: Freedom, is_final: bool) -> Verified {
         let tolerance = Tolerance::within(VERIFY_DISTANCE * self.unit_m);
         Verified {
             pose,
             agreement: self.agreement(&pose, tolerance),
+            freedom,
             is_final,
         }
     }
@@ -380,7 +403,8 @@ impl<'a> Verifier<'a> {
             .map(|_| starts::random_pose(self.fixed.cloud.points(), self.freedom, &mut stream))
             .collect();
         let refined = parallel::map(poses.len(), |i| {
-            self.scored(self.refined(&poses[i], self.freedom), false)
+            let free = self.freedom;
+            self.scored(self.refined(&poses[i], free), free, false)
         });
         let is_other = |v: &&Verified| {
             self.best()
