@@ -218,7 +218,7 @@ fn may_have_strays(config: &Config) -> bool {
 }
 
 /// The scales at which the search is begun: 1, what control points say, or evenly spaced over the
-/// bounds.
+/// bounds, and then between these.
 pub(super) fn scales(config: &Config) -> Result<Vec<f64>> {
     if config.dof != Freedom::Similarity {
         return Ok(vec![1.0]);
@@ -228,13 +228,19 @@ pub(super) fn scales(config: &Config) -> Result<Vec<f64>> {
     if let Some(measured) = known.pose_from_control_points(config.dof) {
         return Ok(vec![measured.target_from_source.scale]);
     }
+    if low == high {
+        return Ok(vec![low]);
+    }
     let n = ((high / low).ln() / SCALE_STEP.ln()).ceil().max(1.0);
-    let mut scales: Vec<f64> = (0..n as usize)
-        .map(|i| low * (high / low).powf((i as f64 + 0.5) / n))
-        .collect();
-    // The likeliest first.
-    scales.sort_by(|a, b| a.ln().abs().total_cmp(&b.ln().abs()));
-    Ok(scales)
+    let at = |step: f64| low * (high / low).powf(step / n);
+    let likeliest_first = |mut scales: Vec<f64>| {
+        scales.sort_by(|a, b| a.ln().abs().total_cmp(&b.ln().abs()));
+        scales
+    };
+    let all_over = (0..n as usize).map(|i| at(i as f64 + 0.5)).collect();
+    // Where little overlaps, a scale half a step off may lead nowhere: then one of these is close.
+    let between = (0..=n as usize).map(|i| at(i as f64)).collect();
+    Ok([likeliest_first(all_over), likeliest_first(between)].concat())
 }
 
 /// The settings for one of several scales: whether a pose stands out shows in the first rounds at the
