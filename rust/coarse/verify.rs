@@ -99,6 +99,13 @@ impl Knowledge<'_> {
     }
 }
 
+/// Whether a scale is one that refinement bridges, as scales farther off are searched by themselves. A cloud that shrinks
+/// to nothing finds partners for all of it.
+fn is_about_one(scale: f64) -> bool {
+    const MOST_TIMES: f64 = 1.25;
+    (1.0 / MOST_TIMES..=MOST_TIMES).contains(&scale)
+}
+
 /// Looks closely at poses and remembers what it saw.
 #[derive(Debug)]
 pub(super) struct Verifier<'a> {
@@ -345,7 +352,8 @@ impl<'a> Verifier<'a> {
 
     fn rank(&mut self) {
         let knowledge = self.knowledge;
-        self.verified.retain(|v| !knowledge.excludes(&v.pose));
+        self.verified
+            .retain(|v| is_about_one(v.pose.scale) && !knowledge.excludes(&v.pose));
         self.verified
             .sort_by(|a, b| b.agreement.score().total_cmp(&a.agreement.score()));
     }
@@ -419,5 +427,64 @@ impl<'a> Verifier<'a> {
 
     fn are_distinct(&self, a: &Similarity, b: &Similarity) -> bool {
         differ(a, b, SAME_POSE_RAD, SAME_POSE * self.unit_m)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloud::Cloud;
+
+    /// Waves over a square of edge 1.
+    fn waves(survey: u64) -> SurfaceCloud {
+        let mut stream = Stream::new(survey, "waves", 0);
+        let points: Vec<Point> = (0..4000)
+            .map(|_| [stream.uniform(), stream.uniform()])
+            .map(|[x, y]| [x, y, 0.1 * (9.0 * x).sin() * (7.0 * y + x).cos()])
+            .collect();
+        SurfaceCloud::new(&Cloud::new(&points).unwrap(), survey, &Progress::silent()).unwrap()
+    }
+
+    #[test]
+    fn a_cloud_that_shrank_to_nothing_leads_nobody() {
+        let silent = Progress::silent();
+        let clouds = [waves(1), waves(2)];
+        let right = Rigid::identity().between_local_coordinates(clouds[0].origin, clouds[1].origin);
+        let [moving, fixed] = Witnesses::of_both(clouds, 1000, 0.1, 0.015, &silent).unwrap();
+        let grid = |of: &Witnesses| NearestGrid::new(of.cloud.points(), 0.02, 0.2, 1_000_000);
+        let (moving_grid, fixed_grid) = (grid(&moving).unwrap(), grid(&fixed).unwrap());
+        let nothing = LocalObservations::default();
+        let knowledge = Knowledge {
+            known: &nothing,
+            source_moves: true,
+        };
+        let free = Freedom::Similarity;
+        let grids = [&moving_grid, &fixed_grid];
+        let mut verifier = Verifier::new(&moving, &fixed, grids, knowledge, 1.4, free).unwrap();
+        let wrong = Rigid::from_euler([0.0, 0.0, 1.0], [0.2, 0.1, 0.0]);
+        let scale_of_best = |verifier: &Verifier<'_>| verifier.best().unwrap().pose.scale;
+        // On a point of the other cloud, where all of it finds a partner, it scores more than a wrong pose.
+        let shrunk = Similarity {
+            scale: 0.02,
+            rigid: Rigid {
+                rotation: right.rotation,
+                translation: fixed.cloud.points()[7].into(),
+            },
+        };
+        for pose in [wrong.into(), shrunk] {
+            let scored = verifier.scored(pose, free, true);
+            verifier.verified.push(scored);
+        }
+        let scores = [0, 1].map(|i| verifier.verified[i].agreement.score());
+        assert!(scores[1] > scores[0], "{scores:?}");
+        verifier.rank();
+        assert_eq!(scale_of_best(&verifier), 1.0);
+        // One that is nearly right is refined to the right one.
+        let near = Rigid::from_euler([0.01, 0.0, 0.02], [0.01, 0.0, 0.01]) * right;
+        let never = Deadline::after(None);
+        verifier.look_at(&[near], 1, free, never, &silent).unwrap();
+        assert!((scale_of_best(&verifier) - 1.0).abs() < 0.01);
+        let best = verifier.best().unwrap().pose.rigid;
+        assert!((best.translation - right.translation).norm() < 0.01);
     }
 }
