@@ -6,6 +6,7 @@ use crate::freedom::Freedom;
 use crate::kabsch::PairSums;
 use crate::near_field::NearField;
 use crate::normals::Surface;
+use crate::parallel;
 use crate::point_to_plane::{PlaneSums, ScaledPlaneSums};
 use crate::rigid::Rigid;
 use crate::similarity::Similarity;
@@ -118,8 +119,9 @@ pub(super) fn to_planes(
 }
 
 /// What a step is solved from, by degrees of freedom.
-trait StepSums: Default {
+trait StepSums: Default + Send {
     fn add(&mut self, moved: &Point, partner: &Point, normal: &Point);
+    fn merge(&mut self, other: &Self);
     fn step(&self) -> Option<Similarity>;
 }
 
@@ -127,6 +129,10 @@ impl StepSums for PlaneSums {
     #[inline]
     fn add(&mut self, moved: &Point, partner: &Point, normal: &Point) {
         self.add(moved, partner, normal, 1.0);
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.merge(other);
     }
 
     fn step(&self) -> Option<Similarity> {
@@ -143,6 +149,10 @@ impl StepSums for Levelled {
         self.0.add(moved, partner, normal, 1.0);
     }
 
+    fn merge(&mut self, other: &Self) {
+        self.0.merge(&other.0);
+    }
+
     fn step(&self) -> Option<Similarity> {
         self.0.solve_levelled().map(Similarity::from)
     }
@@ -152,6 +162,10 @@ impl StepSums for ScaledPlaneSums {
     #[inline]
     fn add(&mut self, moved: &Point, partner: &Point, normal: &Point) {
         self.add(moved, partner, normal, 1.0);
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.merge(other);
     }
 
     fn step(&self) -> Option<Similarity> {
@@ -172,14 +186,23 @@ fn slide<S: StepSums>(
         // The step turns about the middle of the moved cloud, where its linearisation is best.
         let middle: Point = pose.rigid.translation.into();
         let about = |v: &Point| std::array::from_fn(|axis| v[axis] - middle[axis]);
-        let mut sums = S::default();
-        for (p, surface) in points.iter().zip(surfaces) {
-            let moved = pose.apply(p);
-            let normal = pose.rigid.rotate(&surface.normal);
-            if let Some(partner) = fixed.partner(&moved, &normal, max_sq) {
-                sums.add(&about(&moved), &about(&partner), &normal);
+        let sums_of = |points: &[Point], surfaces: &[Surface]| {
+            let mut sums = S::default();
+            for (p, surface) in points.iter().zip(surfaces) {
+                let moved = pose.apply(p);
+                let normal = pose.rigid.rotate(&surface.normal);
+                if let Some(partner) = fixed.partner(&moved, &normal, max_sq) {
+                    sums.add(&about(&moved), &about(&partner), &normal);
+                }
             }
-        }
+            sums
+        };
+        // Where few poses are left, half of the threads would have nothing to do.
+        let (first, second) = points.split_at(points.len() / 2);
+        let (of_first, of_second) = surfaces.split_at(points.len() / 2);
+        let (mut sums, others) =
+            parallel::both(|| sums_of(first, of_first), || sums_of(second, of_second));
+        sums.merge(&others);
         let Some(step) = sums.step() else { break };
         // pose ← shift(middle) · step · shift(−middle) · pose; the pose's translation is `middle`.
         pose = Similarity {
