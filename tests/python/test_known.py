@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 import tmchho
 from tmchho import Config, ControlPoint, PosePrior, errors
 from tmchho.config import config_json
+from tmchho.simulate import make_pair
 
 SIDES = np.array([20.0, 12.0, 6.0])
 
@@ -59,6 +60,28 @@ def test_levelled_clouds_are_turned_about_the_vertical_alone(clouds: tuple[Float
 def test_a_tilted_source_is_not_accepted_as_levelled(clouds: tuple[Floats, Floats]) -> None:
     source = moved(np.linalg.inv(pose(7)), clouds[0])
     assert tmchho.register(source, clouds[1], dof=4, config=QUICK).verdict != "accepted"
+
+
+def test_sparse_noisy_photogrammetry_of_many_times_the_area_is_found_without_being_told_what_is_up() -> None:
+    # It has fewer points than the scan, which has to find its place in it all the same.
+    made = make_pair(
+        size_m=120.0,
+        area_ratio=16.0,
+        overlap=0.8,
+        density_ratio=50.0,
+        n_scanner_points=100_000,
+        photogrammetry_noise_m=0.75,
+        photogrammetry_outlier_share=0.3,
+        scanner_outlier_share=0.3,
+        pose="identity",
+        national_grid=False,
+        seed=0,
+    )
+    found = tmchho.register(moved(np.linalg.inv(levelled()), made.source.xyz), made.target.xyz, dof=6)
+    there = moved(found.transformation @ np.linalg.inv(levelled()), made.target.xyz)
+    displacement = np.sqrt(np.mean(np.sum((there - made.target.xyz) ** 2, axis=1)))
+    assert displacement < 2 * found.voxel_size
+    assert found.verdict != "rejected"
 
 
 @pytest.fixture(scope="module")
