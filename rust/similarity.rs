@@ -126,6 +126,13 @@ impl Similarity {
     }
 }
 
+/// Whether a scale, by the one that a refinement began with, is more than it may bridge: a cloud that shrinks to nothing finds
+/// partners for all of it, step by step.
+pub(crate) fn has_run_away(scale: f64) -> bool {
+    // Also true for NaN.
+    !(0.8..=1.25).contains(&scale)
+}
+
 impl From<Rigid> for Similarity {
     fn from(rigid: Rigid) -> Self {
         Self { scale: 1.0, rigid }

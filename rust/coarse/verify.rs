@@ -19,7 +19,7 @@ use crate::parallel;
 use crate::progress::{Event, Progress, Stage};
 use crate::random::Stream;
 use crate::rigid::Rigid;
-use crate::similarity::Similarity;
+use crate::similarity::{Similarity, has_run_away};
 use crate::surface_cloud::SurfaceCloud;
 
 /// Points of the moving cloud that take part in the refinement.
@@ -67,8 +67,6 @@ pub(super) struct Verified {
     /// Takes the moving cloud to the fixed one.
     pub(super) pose: Similarity,
     pub(super) agreement: Agreement,
-    /// What was free when it was refined.
-    freedom: Freedom,
     /// Whether it was brought to rest.
     is_final: bool,
 }
@@ -97,13 +95,6 @@ impl Knowledge<'_> {
         };
         sum > most
     }
-}
-
-/// Whether a scale is one that refinement bridges, as scales farther off are searched by themselves. A cloud that shrinks
-/// to nothing finds partners for all of it.
-fn is_about_one(scale: f64) -> bool {
-    const MOST_TIMES: f64 = 1.25;
-    (1.0 / MOST_TIMES..=MOST_TIMES).contains(&scale)
 }
 
 /// Looks closely at poses and remembers what it saw.
@@ -179,17 +170,18 @@ impl<'a> Verifier<'a> {
         deadline: Deadline,
         progress: &Progress<'_>,
     ) -> Result<()> {
+        let is_bound = freedom != self.freedom;
         let refined = parallel::map(poses.len(), |i| {
             progress.check()?;
             if i >= n_certain && deadline.is_over() {
                 return Ok(None);
             }
-            let refined = self.scored(self.refined(&poses[i], freedom), freedom, false);
+            let refined = self.refined(&poses[i], freedom);
             // Where noise is as large as a voxel, wrong poses that are free score more than a right one that is not, until
             // it is at rest.
-            Ok(Some(match freedom == self.freedom {
-                true => refined,
-                false => self.at_rest(&refined),
+            Ok(Some(match is_bound {
+                true => self.at_rest_once_bound(refined, freedom),
+                false => self.scored(refined, false),
             }))
         });
         // Somebody may have said stop meanwhile: then nothing more is told.
@@ -199,7 +191,11 @@ impl<'a> Verifier<'a> {
             let best = self.best_score_so_far().max(verified.agreement.score());
             self.history.push(best);
             self.verified.push(verified);
-            self.n_evaluations += REFINE_POINTS.n_steps + REFINE_PLANES.n_steps + 1;
+            self.n_evaluations += REFINE_POINTS.n_steps + REFINE_PLANES.n_steps;
+            self.n_evaluations += match is_bound {
+                true => 2 * (FINISH.n_steps + 1),
+                false => 1,
+            };
             progress.emit(&Event::Advanced {
                 stage: Stage::Coarse,
                 done: i + 1,
@@ -278,51 +274,51 @@ impl<'a> Verifier<'a> {
     /// slides into the best one was no rival.
     fn finish_leaders(&mut self, deadline: Deadline, progress: &Progress<'_>) -> Result<()> {
         for _ in 0..MAX_FINISHING_TURNS {
-            let leaders: Vec<Verified> = (self.distinct().take(N_FINALISTS))
+            let leaders: Vec<Similarity> = self
+                .distinct()
+                .take(N_FINALISTS)
                 .filter(|v| !v.is_final)
-                .copied()
+                .map(|v| v.pose)
                 .collect();
             if leaders.is_empty() || deadline.is_over() {
                 break;
             }
             let finished = parallel::map(leaders.len(), |i| {
                 progress.check()?;
-                Ok(self.at_rest(&leaders[i]))
+                Ok(self.at_rest(leaders[i], self.freedom))
             });
             let finished = finished.into_iter().collect::<Result<Vec<_>>>()?;
             self.n_evaluations += leaders.len() * (FINISH.n_steps + 1);
             // What was brought to rest replaces what it came from.
-            self.verified
-                .retain(|v| leaders.iter().all(|leader| leader.pose != v.pose));
+            self.verified.retain(|v| !leaders.contains(&v.pose));
             self.verified.extend(finished);
             self.rank();
         }
         Ok(())
     }
 
-    /// Brought to rest: first in what was free when it was refined, then in all that is free, unless that draws it off.
-    fn at_rest(&self, refined: &Verified) -> Verified {
-        let finished = |from: &Verified, freedom: Freedom| {
-            let pose = self.to_planes(from.pose, Some(&self.fixed_field), freedom, FINISH);
-            self.scored(pose, freedom, true)
-        };
-        if refined.freedom == self.freedom {
-            return finished(refined, self.freedom);
-        }
-        let bound = finished(refined, refined.freedom);
-        let free = finished(&bound, self.freedom);
+    fn at_rest(&self, pose: Similarity, freedom: Freedom) -> Verified {
+        self.scored(
+            self.to_planes(pose, Some(&self.fixed_field), freedom, FINISH),
+            true,
+        )
+    }
+
+    /// First in what `freedom` leaves free, then in all that is, unless that draws it off.
+    fn at_rest_once_bound(&self, pose: Similarity, freedom: Freedom) -> Verified {
+        let bound = self.at_rest(pose, freedom);
+        let free = self.at_rest(bound.pose, self.freedom);
         match free.agreement.score() < bound.agreement.score() {
             true => bound,
             false => free,
         }
     }
 
-    fn scored(&self, pose: Similarity, freedom: Freedom, is_final: bool) -> Verified {
+    fn scored(&self, pose: Similarity, is_final: bool) -> Verified {
         let tolerance = Tolerance::within(VERIFY_DISTANCE * self.unit_m);
         Verified {
             pose,
             agreement: self.agreement(&pose, tolerance),
-            freedom,
             is_final,
         }
     }
@@ -353,7 +349,7 @@ impl<'a> Verifier<'a> {
     fn rank(&mut self) {
         let knowledge = self.knowledge;
         self.verified
-            .retain(|v| is_about_one(v.pose.scale) && !knowledge.excludes(&v.pose));
+            .retain(|v| !has_run_away(v.pose.scale) && !knowledge.excludes(&v.pose));
         self.verified
             .sort_by(|a, b| b.agreement.score().total_cmp(&a.agreement.score()));
     }
@@ -411,8 +407,7 @@ impl<'a> Verifier<'a> {
             .map(|_| starts::random_pose(self.fixed.cloud.points(), self.freedom, &mut stream))
             .collect();
         let refined = parallel::map(poses.len(), |i| {
-            let free = self.freedom;
-            self.scored(self.refined(&poses[i], free), free, false)
+            self.scored(self.refined(&poses[i], self.freedom), false)
         });
         let is_other = |v: &&Verified| {
             self.best()
@@ -472,7 +467,7 @@ mod tests {
             },
         };
         for pose in [wrong.into(), shrunk] {
-            let scored = verifier.scored(pose, free, true);
+            let scored = verifier.scored(pose, true);
             verifier.verified.push(scored);
         }
         let scores = [0, 1].map(|i| verifier.verified[i].agreement.score());

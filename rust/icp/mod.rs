@@ -27,7 +27,7 @@ use crate::neighbors::NeighborIndex;
 use crate::normals::Surface;
 use crate::observations::LocalObservations;
 use crate::progress::{Event, Progress, Stage};
-use crate::similarity::Similarity;
+use crate::similarity::{Similarity, has_run_away};
 use crate::uncertainty::PoseUncertainty;
 
 pub use options::{IcpKernel, IcpMethod, IcpOptions};
@@ -262,7 +262,7 @@ impl Task<'_> {
                 result.stop_reason = IcpStop::NoPartners;
                 break;
             };
-            if !(0.8..=1.25).contains(&(step.pose.scale / self.start.scale)) {
+            if has_run_away(step.pose.scale / self.start.scale) {
                 result.stop_reason = IcpStop::ScaleRanAway;
                 break;
             }
