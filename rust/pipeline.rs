@@ -4,10 +4,12 @@
 
 mod apart;
 mod doubts;
+mod fine;
 mod prepare;
 mod search;
 mod strays;
 
+use fine::{brought_to_rest, brought_to_rest_without_strays};
 use prepare::{Prepared, cropped};
 
 pub use apart::{Evaluation, evaluate, fuse_clouds};
@@ -18,24 +20,18 @@ use crate::config::{Config, Mode};
 use crate::deadline::Deadline;
 use crate::error::{Error, Result};
 use crate::evaluate::{DistanceStatistics, share_within};
-use crate::fitness::{self, Support, Tolerance, agreement};
 use crate::freedom::Freedom;
-use crate::icp::{Clouds, IcpResult, IcpStop, icp};
+use crate::icp::IcpStop;
 use crate::neighbors::NeighborIndex;
-use crate::observations::LocalObservations;
 use crate::outlier::remove_outliers;
 use crate::parallel;
 use crate::progress::{Progress, Stage};
 use crate::registration::{Registration, StageLog};
 use crate::similarity::Similarity;
-use crate::surface_cloud::SurfaceCloud;
 use crate::verdict::{Evidence, Rival, Strength, Verdict, judge};
 
 /// Voxels along the extent of the smaller cloud, where no edge is asked for.
 pub const VOXELS_PER_EXTENT: f64 = 250.0;
-/// The fine pose is kept unless the clouds agree by less than this share of what they did before: where noise is
-/// as large as a voxel, the score changes by a twentieth by chance.
-const LEAST_KEPT: f64 = 0.9;
 /// A pose that leads its rivals by more is not doubted: whether the source is mirrored is not tried.
 const CLEAR_AMBIGUITY_RATIO: f64 = 5.0;
 /// A partner within so many voxels supports the pose, where no distance is asked for.
@@ -188,54 +184,37 @@ fn route(
         .unwrap_or(SUPPORT_IN_VOXELS * voxel_size_m);
     config.resolve(voxel_size_m, max_distance_m);
 
-    let (source_surface, target_surface) = (&prepared.source.cloud, &prepared.target.cloud);
-    log.begin(Stage::Icp, source_surface.len(), target_surface.len())?;
-    let known = prepared.known(&config.known)?;
-    let fine = refine(&prepared, &coarse_pose, &known, &config, progress)?;
-    log.keep();
-
-    log.begin(Stage::Verdict, source_surface.len(), target_surface.len())?;
-    let tolerance = Tolerance::within(max_distance_m);
-    let agreed = |pose: &Similarity| {
-        agreement(
-            (&prepared.source, &source_surface.index),
-            (&prepared.target, &target_surface.index),
-            pose,
-            tolerance,
-        )
-    };
-    let (before, after) =
-        parallel::both(|| agreed(&coarse_pose), || agreed(&fine.target_from_source));
-    // Robust mode keeps ICP's pose only where it is no worse, or where it heeds what is known; the
-    // paper always takes it.
-    let takes_fine = config.mode == Mode::Paper || !known.is_empty();
-    let (pose, agreed, uncertainty) = if takes_fine || after.score() >= LEAST_KEPT * before.score()
-    {
-        (fine.target_from_source, after, fine.uncertainty)
-    } else {
-        (coarse_pose, before, None)
-    };
     let clouds = [&source_cleaned, &target_cleaned];
-    let most_offset_m = prepared.unit_m * config.verdict.most_surface_offset(agreed.conflict_share);
-    let ((support, support_back), (surface_offset_m, held_out)) = parallel::both(
-        || {
-            let surfaces = [source_surface, target_surface];
-            supports(surfaces, &pose, max_distance_m, progress)
-        },
-        || {
-            parallel::both(
-                || surface_offset_m(&prepared, &pose, clouds, most_offset_m, &config, progress),
-                || held_out_ratio(&prepared, &pose, max_distance_m),
-            )
-        },
-    );
-    let (support, support_back, surface_offset_m) = (support?, support_back?, surface_offset_m?);
+    let mut fine = brought_to_rest(
+        &prepared,
+        &coarse_pose,
+        max_distance_m,
+        &config,
+        &mut log,
+        progress,
+    )?;
+    if fine.lies_apart(&prepared, &config) {
+        let without = brought_to_rest_without_strays(
+            &prepared,
+            &fine,
+            clouds,
+            max_distance_m,
+            &config,
+            &mut log,
+            progress,
+        )?;
+        if let Some((cleaned, again)) = without {
+            (prepared, fine) = (cleaned, again);
+        }
+    }
+    let (pose, agreed, known) = (fine.pose, fine.agreed, prepared.known(&config.known)?);
+    let [support, support_back] = &fine.supports;
     let strength = Strength::new(
         &support.planes.information(),
         support.planes.weight(),
         support.radius_m,
     );
-    let weakest_error = uncertainty.as_ref().map_or(f64::NAN, |uncertainty| {
+    let weakest_error = fine.uncertainty.as_ref().map_or(f64::NAN, |uncertainty| {
         let rigid = uncertainty.covariance.fixed_view::<6, 6>(0, 0);
         strength.standard_error(&rigid.into_owned())
     });
@@ -252,11 +231,11 @@ fn route(
             strength,
             weakest_error,
             lead_over_chance,
-            held_out_ratio: held_out,
+            held_out_ratio: fine.held_out_ratio,
             misfit: agreed.misfit,
             conflict_share: agreed.conflict_share,
             net_share: agreed.net_share(),
-            surface_offset_m,
+            surface_offset_m: fine.surface_offset_m,
             extent_m: prepared.unit_m,
             deviation_from_known: match known.n_observed() {
                 0 => f64::NAN,
@@ -265,7 +244,7 @@ fn route(
             scale_at_bound: config.dof == Freedom::Similarity
                 && is_at_bound(target_from_source.scale, &config.scale_bounds),
             ended_early: found.ended_early,
-            converged: fine.stop_reason == IcpStop::Converged,
+            converged: fine.icp.stop_reason == IcpStop::Converged,
         },
         &config.verdict,
     );
@@ -308,7 +287,7 @@ fn route(
         target_pivot,
         verdict: judgement.verdict,
         reasons: judgement.reasons,
-        fitness: support.n_inliers as f64 / source_surface.len() as f64,
+        fitness: support.n_inliers as f64 / prepared.source.cloud.len() as f64,
         inlier_rmse_m: support.inlier_rmse_m,
         inlier_rmse_back_m: support_back.inlier_rmse_m,
         n_inliers: support.n_inliers,
@@ -319,19 +298,19 @@ fn route(
         strength,
         candidates,
         lead_over_chance,
-        held_out_ratio: held_out,
+        held_out_ratio: fine.held_out_ratio,
         misfit: agreed.misfit,
         conflict_share: agreed.conflict_share,
         net_share: agreed.net_share(),
-        surface_offset_m,
+        surface_offset_m: fine.surface_offset_m,
         extent_m: prepared.unit_m,
         ended_early: found.ended_early,
-        uncertainty,
+        uncertainty: fine.uncertainty,
         n_evaluations: found.n_evaluations,
         history: found.history,
-        icp_stop: fine.stop_reason,
-        n_icp_iterations: fine.n_iterations,
-        icp_history: fine.history,
+        icp_stop: fine.icp.stop_reason,
+        n_icp_iterations: fine.icp.n_iterations,
+        icp_history: fine.icp.history,
         source_to_target: of_forth?,
         target_to_source: of_back?,
         n_non_finite: (source.n_non_finite(), target.n_non_finite()),
@@ -341,128 +320,6 @@ fn route(
         stages: log.records,
         config,
     })
-}
-
-/// Brings the coarse pose to rest: the paper's ICP, or point-to-plane on the overlap. The points that were
-/// drawn last are held out in robust mode.
-fn refine(
-    prepared: &Prepared,
-    coarse_pose: &Similarity,
-    known: &LocalObservations,
-    config: &Config,
-    progress: &Progress<'_>,
-) -> Result<IcpResult> {
-    /// The pose is right to less than this, in the unit: what stands farther beyond the box of the target than that and the
-    /// reach finds no partner, as does most of a source of many times the area.
-    const MOST_MOVED: f64 = 0.05;
-    let (source, target) = (&prepared.source.cloud, &prepared.target.cloud);
-    let fitted = match config.mode {
-        Mode::Robust => {
-            let mut fitted = source.drawn_in_order(n_fitted(source.len()));
-            let reach_m = config.icp.max_distance_m.unwrap_or(f64::INFINITY);
-            let margin_m = reach_m + MOST_MOVED * prepared.unit_m;
-            let is_near = |i: &u32| {
-                let moved = coarse_pose.apply(&source.points()[*i as usize]);
-                target.is_near_box(&moved, margin_m)
-            };
-            fitted.retain(is_near);
-            fitted
-        }
-        Mode::Paper => source.drawn_in_order(source.len()),
-    };
-    let surfaces: Vec<_> = fitted
-        .iter()
-        .map(|i| source.surfaces[*i as usize])
-        .collect();
-    let clouds = Clouds {
-        source: &source.points_of(&fitted),
-        source_surfaces: &surfaces,
-        target: &target.index,
-        target_surfaces: &target.surfaces,
-    };
-    icp(
-        &clouds,
-        coarse_pose,
-        config.dof,
-        known,
-        &config.icp,
-        progress,
-    )
-}
-
-/// What of each cloud lies on the other.
-fn supports(
-    [source, target]: [&SurfaceCloud; 2],
-    pose: &Similarity,
-    max_distance_m: f64,
-    progress: &Progress<'_>,
-) -> (Result<Support>, Result<Support>) {
-    let back = (pose.inverse(), max_distance_m / pose.scale);
-    parallel::both(
-        || fitness::support(source, target, pose, max_distance_m, progress),
-        || fitness::support(target, source, &back.0, back.1, progress),
-    )
-}
-
-/// How far even surfaces lie apart; where that is above `most_m`, and the clouds are strewn, without their strays if it was
-/// these that shifted the means of surfaces.
-fn surface_offset_m(
-    prepared: &Prepared,
-    pose: &Similarity,
-    [source, target]: [&Cloud; 2],
-    most_m: f64,
-    config: &Config,
-    progress: &Progress<'_>,
-) -> Result<f64> {
-    let of = |prepared: &Prepared, pose: &Similarity| {
-        let (source, target) = (&prepared.source.cloud, &prepared.target.cloud);
-        fitness::surface_offset_m(source, target, pose, prepared.unit_m, progress)
-    };
-    let offset_m = of(prepared, pose)?;
-    if offset_m > most_m && prepared.is_strewn(progress)? {
-        let cleaned = prepared.without_strays(source, target, config, progress)?;
-        if let Some(cleaned) = cleaned {
-            let pose = cleaned.pose_from_given(&prepared.pose_to_given(pose));
-            let cleaned_m = of(&cleaned, &pose)?;
-            // A part of the noise goes with the strays, so a little less proves nothing.
-            if cleaned_m < 0.5 * offset_m {
-                return Ok(cleaned_m);
-            }
-        }
-    }
-    Ok(offset_m)
-}
-
-/// One point in ten is held out.
-fn n_fitted(n: usize) -> usize {
-    n - n / 10
-}
-
-/// Root mean squared distance of the pairs of points that were held out, by that of the others.
-fn held_out_ratio(prepared: &Prepared, pose: &Similarity, max_distance_m: f64) -> f64 {
-    /// Fewer pairs tell nothing.
-    const LEAST_PAIRS: usize = 30;
-    let (source, index) = (&prepared.source.cloud, &prepared.target.cloud.index);
-    let rms = |numbers: &[u32]| {
-        let max_sq = max_distance_m * max_distance_m;
-        let points = source.points_of(numbers);
-        let found = parallel::map(points.len(), |i| {
-            index.nearest_within(&pose.apply(&points[i]), max_sq)
-        });
-        let found = found.into_iter().flatten();
-        let (n, sum) = found.fold((0, 0.0), |(n, sum), pair| (n + 1, sum + pair.distance_sq));
-        (n >= LEAST_PAIRS).then(|| (sum / n as f64).sqrt())
-    };
-    let drawn = source.drawn(source.len());
-    let (fitted, held_out) = drawn.split_at(n_fitted(drawn.len()));
-    // As many of the others are looked at as were held out.
-    match (
-        rms(held_out),
-        rms(&fitted[..held_out.len().min(fitted.len())]),
-    ) {
-        (Some(held_out), Some(fitted)) if fitted > 0.0 => held_out / fitted,
-        _ => f64::NAN,
-    }
 }
 
 fn is_at_bound(scale: f64, [low, high]: &[f64; 2]) -> bool {

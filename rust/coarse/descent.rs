@@ -38,6 +38,11 @@ impl Shrinking {
     }
 }
 
+/// Where a step moves the points by less than this share of the truncation, the pose rests there, and the truncation
+/// shrinks by as much as in so many steps.
+const AT_REST: f64 = 0.01;
+const STEPS_AT_REST: usize = 4;
+
 /// Points that are looked up together.
 const TOGETHER: usize = 64;
 
@@ -102,7 +107,7 @@ impl Fixed<'_> {
     }
 }
 
-/// Point-to-plane steps along the moving cloud's own normals.
+/// Point-to-plane steps along the moving cloud's own normals, and how many were made.
 pub(super) fn to_planes(
     points: &[Point],
     surfaces: &[Surface],
@@ -110,7 +115,7 @@ pub(super) fn to_planes(
     start: Similarity,
     freedom: Freedom,
     truncation: Shrinking,
-) -> Similarity {
+) -> (Similarity, usize) {
     match freedom {
         Freedom::Levelled => slide::<Levelled>(points, surfaces, fixed, start, truncation),
         Freedom::Rigid => slide::<PlaneSums>(points, surfaces, fixed, start, truncation),
@@ -179,10 +184,14 @@ fn slide<S: StepSums>(
     fixed: Fixed<'_>,
     start: Similarity,
     truncation: Shrinking,
-) -> Similarity {
-    let mut pose = start;
-    for step in 0..truncation.n_steps {
-        let max_sq = truncation.at(step).powi(2);
+) -> (Similarity, usize) {
+    let (mut pose, mut n_made) = (start, 0);
+    let (mut step, last) = (0, truncation.n_steps - 1);
+    let reach_m = root_mean_square(points);
+    while step <= last {
+        n_made += 1;
+        let max_m = truncation.at(step);
+        let max_sq = max_m * max_m;
         // The step turns about the middle of the moved cloud, where its linearisation is best.
         let middle: Point = pose.rigid.translation.into();
         let about = |v: &Point| std::array::from_fn(|axis| v[axis] - middle[axis]);
@@ -203,17 +212,31 @@ fn slide<S: StepSums>(
         let (mut sums, others) =
             parallel::both(|| sums_of(first, of_first), || sums_of(second, of_second));
         sums.merge(&others);
-        let Some(step) = sums.step() else { break };
+        let Some(Similarity { scale, rigid }) = sums.step() else {
+            break;
+        };
         // pose ← shift(middle) · step · shift(−middle) · pose; the pose's translation is `middle`.
         pose = Similarity {
-            scale: step.scale * pose.scale,
+            scale: scale * pose.scale,
             rigid: Rigid {
-                rotation: step.rigid.rotation * pose.rigid.rotation,
-                translation: pose.rigid.translation + step.rigid.translation,
+                rotation: rigid.rotation * pose.rigid.rotation,
+                translation: pose.rigid.translation + rigid.translation,
             },
         };
+        let turned_or_grown = rigid.rotation_angle_rad() + (scale - 1.0).abs();
+        let moved_m = rigid.translation.norm() + reach_m * turned_or_grown;
+        let n_steps = match moved_m < AT_REST * max_m {
+            true => STEPS_AT_REST,
+            false => 1,
+        };
+        step = (step + n_steps).min(last.max(step + 1));
     }
-    pose
+    (pose, n_made)
+}
+
+fn root_mean_square(points: &[Point]) -> f64 {
+    let sum_sq: f64 = points.iter().map(|p| distance_sq(p, &[0.0; 3])).sum();
+    (sum_sq / points.len().max(1) as f64).sqrt()
 }
 
 /// Mean of min(d², τ²)/τ² over the points: 0 perfect, 1 nothing within τ.

@@ -7,8 +7,9 @@
 
 use nalgebra::Vector3;
 
-use crate::cloud::{Point, distance_sq};
+use crate::cloud::{Point, difference, distance_sq, dot};
 use crate::fitness::Witnesses;
+use crate::parallel;
 use crate::rigid::Rigid;
 
 /// Witnesses of the moving cloud that vote: those of the highest curvature.
@@ -37,7 +38,6 @@ pub(super) fn echoes(
     let Some((voters, least_weight)) = of_highest_curvature(moving) else {
         return Vec::new();
     };
-    let mut votes = Votes::new(CELL * unit_m, REACH * unit_m);
     let surface = |of: &Witnesses, i: usize| (of.cloud.points()[i], of.cloud.surfaces[i].normal);
     let voters: Vec<(Point, Point)> = voters
         .into_iter()
@@ -45,15 +45,24 @@ pub(super) fn echoes(
         .map(|(p, normal)| (pose.apply(&p), pose.rotate(&normal)))
         .collect();
     let of_fixed = fixed.numbers().iter().map(|j| *j as usize);
-    for j in of_fixed.filter(|j| fixed.weights[*j] >= least_weight) {
-        let (place, slope) = surface(fixed, j);
-        for (p, normal) in &voters {
-            let cosine = normal[0] * slope[0] + normal[1] * slope[1] + normal[2] * slope[2];
-            if cosine.abs() > MIN_COSINE {
-                votes.add(std::array::from_fn(|axis| place[axis] - p[axis]));
+    let places: Vec<(Point, Point)> = of_fixed
+        .filter(|j| fixed.weights[*j] >= least_weight)
+        .map(|j| surface(fixed, j))
+        .collect();
+    let votes_of = |voters: &[(Point, Point)]| {
+        let mut votes = Votes::new(CELL * unit_m, REACH * unit_m);
+        for (place, slope) in &places {
+            for (p, normal) in voters {
+                if dot(normal, slope).abs() > MIN_COSINE {
+                    votes.add(difference(place, p));
+                }
             }
         }
-    }
+        votes
+    };
+    let (first, second) = voters.split_at(voters.len() / 2);
+    let (mut votes, others) = parallel::both(|| votes_of(first), || votes_of(second));
+    votes.merge(&others);
     let shifted = |shift: Point| Rigid {
         rotation: pose.rotation,
         translation: pose.translation + Vector3::from(shift),
@@ -88,6 +97,12 @@ impl Votes {
             cells_per_m: 1.0 / cell_m,
             edge,
             counts: vec![0; edge * edge * edge],
+        }
+    }
+
+    fn merge(&mut self, other: &Self) {
+        for (count, more) in self.counts.iter_mut().zip(&other.counts) {
+            *count += more;
         }
     }
 

@@ -53,8 +53,8 @@ const N_RIVALS: usize = 8;
 /// Random poses that tell what chance reaches.
 const N_CHANCE: usize = 4;
 
-/// Cells of the near field: about as fine as the voxels.
-const FINE_CELL: f64 = 1.0 / 200.0;
+/// Cells of the near field: not much coarser than the voxels.
+const FINE_CELL: f64 = 1.0 / 150.0;
 const MAX_BLOCKS: usize = 4_000_000;
 
 /// Poses closer than this to the best one are the best one, not its rival.
@@ -69,6 +69,16 @@ pub(super) struct Verified {
     pub(super) agreement: Agreement,
     /// Whether it was brought to rest.
     is_final: bool,
+    /// Poses at which the clouds were compared on the way from where the last look left off.
+    n_compared: usize,
+}
+
+impl Verified {
+    /// The same, once so many more poses were compared.
+    fn after(self, n_more: usize) -> Self {
+        let n_compared = self.n_compared + n_more;
+        Self { n_compared, ..self }
+    }
 }
 
 /// What is known of the pose beforehand.
@@ -176,13 +186,14 @@ impl<'a> Verifier<'a> {
             if i >= n_certain && deadline.is_over() {
                 return Ok(None);
             }
-            let refined = self.refined(&poses[i], freedom);
+            let (refined, n_made) = self.refined(&poses[i], freedom);
             // Where noise is as large as a voxel, wrong poses that are free score more than a right one that is not, until
             // it is at rest.
-            Ok(Some(match is_bound {
+            let looked_at = match is_bound {
                 true => self.at_rest_once_bound(refined, freedom),
                 false => self.scored(refined, false),
-            }))
+            };
+            Ok(Some(looked_at.after(n_made)))
         });
         // Somebody may have said stop meanwhile: then nothing more is told.
         let refined = refined.into_iter().collect::<Result<Vec<_>>>()?;
@@ -190,12 +201,8 @@ impl<'a> Verifier<'a> {
             let Some(verified) = verified else { continue };
             let best = self.best_score_so_far().max(verified.agreement.score());
             self.history.push(best);
+            self.n_evaluations += verified.n_compared;
             self.verified.push(verified);
-            self.n_evaluations += REFINE_POINTS.n_steps + REFINE_PLANES.n_steps;
-            self.n_evaluations += match is_bound {
-                true => 2 * (FINISH.n_steps + 1),
-                false => 1,
-            };
             progress.emit(&Event::Advanced {
                 stage: Stage::Coarse,
                 done: i + 1,
@@ -242,10 +249,12 @@ impl<'a> Verifier<'a> {
         self.history.last().copied().unwrap_or(0.0)
     }
 
-    fn refined(&self, start: &Rigid, freedom: Freedom) -> Similarity {
+    /// A pose refined as far as ranking needs, and how many steps that took.
+    fn refined(&self, start: &Rigid, freedom: Freedom) -> (Similarity, usize) {
         let (points, grid, unit_m) = (&self.points, self.fixed_grid, self.unit_m);
         let pose = descent::to_points(points, grid, *start, freedom, REFINE_POINTS.times(unit_m));
-        self.to_planes(pose.into(), None, freedom, REFINE_PLANES)
+        let (pose, n_made) = self.to_planes(pose.into(), None, freedom, REFINE_PLANES);
+        (pose, REFINE_POINTS.n_steps + n_made)
     }
 
     fn to_planes(
@@ -254,7 +263,7 @@ impl<'a> Verifier<'a> {
         field: Option<&NearField>,
         freedom: Freedom,
         truncation: Shrinking,
-    ) -> Similarity {
+    ) -> (Similarity, usize) {
         let fixed = Fixed {
             surfaces: &self.fixed.cloud.surfaces,
             grid: self.fixed_grid,
@@ -288,7 +297,7 @@ impl<'a> Verifier<'a> {
                 Ok(self.at_rest(leaders[i], self.freedom))
             });
             let finished = finished.into_iter().collect::<Result<Vec<_>>>()?;
-            self.n_evaluations += leaders.len() * (FINISH.n_steps + 1);
+            self.n_evaluations += finished.iter().map(|v| v.n_compared).sum::<usize>();
             // What was brought to rest replaces what it came from.
             self.verified.retain(|v| !leaders.contains(&v.pose));
             self.verified.extend(finished);
@@ -298,10 +307,8 @@ impl<'a> Verifier<'a> {
     }
 
     fn at_rest(&self, pose: Similarity, freedom: Freedom) -> Verified {
-        self.scored(
-            self.to_planes(pose, Some(&self.fixed_field), freedom, FINISH),
-            true,
-        )
+        let (pose, n_made) = self.to_planes(pose, Some(&self.fixed_field), freedom, FINISH);
+        self.scored(pose, true).after(n_made)
     }
 
     /// First in what `freedom` leaves free, then in all that is, unless that draws it off.
@@ -309,8 +316,8 @@ impl<'a> Verifier<'a> {
         let bound = self.at_rest(pose, freedom);
         let free = self.at_rest(bound.pose, self.freedom);
         match free.agreement.score() < bound.agreement.score() {
-            true => bound,
-            false => free,
+            true => bound.after(free.n_compared),
+            false => free.after(bound.n_compared),
         }
     }
 
@@ -320,6 +327,7 @@ impl<'a> Verifier<'a> {
             pose,
             agreement: self.agreement(&pose, tolerance),
             is_final,
+            n_compared: 1,
         }
     }
 
@@ -407,7 +415,8 @@ impl<'a> Verifier<'a> {
             .map(|_| starts::random_pose(self.fixed.cloud.points(), self.freedom, &mut stream))
             .collect();
         let refined = parallel::map(poses.len(), |i| {
-            self.scored(self.refined(&poses[i], self.freedom), false)
+            let (refined, _) = self.refined(&poses[i], self.freedom);
+            self.scored(refined, false)
         });
         let is_other = |v: &&Verified| {
             self.best()

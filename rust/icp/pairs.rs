@@ -6,14 +6,18 @@ use super::sizes::Sizes;
 use crate::cloud::Point;
 use crate::error::Result;
 use crate::neighbors::{Follower, NeighborIndex};
+use crate::parallel;
 use crate::progress::Progress;
 use crate::similarity::Similarity;
 
 /// The partner of every source point at a pose. Found anew for each pose in the same memory.
 pub(super) struct Pairs {
     followers: Vec<Follower>,
-    /// Squared distances, to be put in order.
-    distances: Vec<f64>,
+    /// Squared distance of every follower from its partner; infinite where it has none. Beside the followers, as all
+    /// of it is read several times for each pose.
+    distances_sq: Vec<f64>,
+    /// Those of partners, to be put in order.
+    in_order: Vec<f64>,
     /// Squared distance beyond which there are no partners.
     limit_sq: f64,
     /// Pairs with a squared distance up to this one count.
@@ -25,7 +29,8 @@ impl Pairs {
     pub(super) fn of(n_source: usize) -> Self {
         Self {
             followers: vec![Follower::NEW; n_source],
-            distances: Vec::with_capacity(n_source),
+            distances_sq: vec![f64::INFINITY; n_source],
+            in_order: Vec::new(),
             limit_sq: f64::INFINITY,
             max_sq: f64::NEG_INFINITY,
             n_kept: 0,
@@ -47,36 +52,44 @@ impl Pairs {
         self.limit_sq = reach_m * reach_m;
         let moved = |i: usize| pose.apply(&source[i]);
         target.follow(&mut self.followers, moved, reach_m, progress)?;
+        let (followers, limit_sq) = (&self.followers, self.limit_sq);
+        parallel::for_each_chunk(
+            &mut self.distances_sq,
+            parallel::CHUNK,
+            |chunk, distances_sq| {
+                let followers = &followers[chunk * parallel::CHUNK..];
+                for (distance_sq, follower) in distances_sq.iter_mut().zip(followers) {
+                    let found = follower.found().map(|(_, sq)| sq);
+                    *distance_sq = found.filter(|sq| *sq <= limit_sq).unwrap_or(f64::INFINITY);
+                }
+            },
+        );
         self.max_sq = match kept_share {
             Some(share) => self.limit_of_share(share),
             None => self.limit_of_overlap(),
         };
-        self.n_kept = self.kept().count();
+        self.n_kept = self.kept_sq().count();
         Ok(())
     }
 
     /// Squared distances of all pairs.
     fn all_sq(&self) -> impl Iterator<Item = f64> {
-        let found = self.followers.iter().filter_map(Follower::found);
-        found.map(|(_, sq)| sq).filter(|sq| *sq <= self.limit_sq)
+        let distances_sq = self.distances_sq.iter().copied();
+        distances_sq.filter(|sq| sq.is_finite())
     }
 
     fn limit_of_share(&mut self, share: f64) -> f64 {
-        let mut distances = std::mem::take(&mut self.distances);
-        distances.clear();
-        distances.extend(self.all_sq());
-        self.distances = distances;
-        let n_kept = (self.distances.len() as f64 * share).ceil() as usize;
-        match n_kept {
+        let mut in_order = std::mem::take(&mut self.in_order);
+        in_order.clear();
+        in_order.extend(self.all_sq());
+        let n_kept = (in_order.len() as f64 * share).ceil() as usize;
+        let limit = match n_kept {
             0 => f64::NEG_INFINITY,
-            n if n == self.distances.len() => f64::MAX,
-            n => {
-                *self
-                    .distances
-                    .select_nth_unstable_by(n - 1, f64::total_cmp)
-                    .1
-            }
-        }
+            n if n == in_order.len() => f64::MAX,
+            n => *in_order.select_nth_unstable_by(n - 1, f64::total_cmp).1,
+        };
+        self.in_order = in_order;
+        limit
     }
 
     fn limit_of_overlap(&self) -> f64 {
@@ -87,7 +100,7 @@ impl Pairs {
 
     /// The largest squared distance of a pair that counts.
     pub(super) fn largest_sq(&self) -> f64 {
-        self.distances_sq().fold(0.0, f64::max)
+        self.kept_sq().fold(0.0, f64::max)
     }
 
     /// (source index, target index) of the pairs that count.
@@ -111,20 +124,19 @@ impl Pairs {
     }
 
     fn followers_within(&self, range: Range<usize>) -> impl Iterator<Item = (usize, &Follower)> {
-        let max_sq = self.max_sq.min(self.limit_sq);
-        let counts =
-            move |follower: &Follower| follower.found().is_some_and(|(_, sq)| sq <= max_sq);
-        let followers = range.clone().zip(&self.followers[range]);
-        followers.filter(move |(_, follower)| counts(follower))
+        let max_sq = self.max_sq;
+        let distances_sq = range.clone().zip(&self.distances_sq[range]);
+        let kept = distances_sq.filter(move |(_, sq)| sq.is_finite() && **sq <= max_sq);
+        kept.map(|(i, _)| (i, &self.followers[i]))
     }
 
-    fn distances_sq(&self) -> impl Iterator<Item = f64> {
-        self.all_sq()
-            .filter(|distance_sq| *distance_sq <= self.max_sq)
+    /// Squared distances of the pairs that count.
+    fn kept_sq(&self) -> impl Iterator<Item = f64> {
+        self.all_sq().filter(|sq| *sq <= self.max_sq)
     }
 
     /// Root mean squared distance of the pairs that count.
     pub(super) fn rmse(&self) -> f64 {
-        (self.distances_sq().sum::<f64>() / self.n_kept as f64).sqrt()
+        (self.kept_sq().sum::<f64>() / self.n_kept as f64).sqrt()
     }
 }

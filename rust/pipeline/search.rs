@@ -211,7 +211,7 @@ fn keypoints(
 }
 
 /// Whether strays may be why nothing stands out: not where somebody said what a stray is.
-fn may_have_strays(config: &Config) -> bool {
+pub(super) fn may_have_strays(config: &Config) -> bool {
     config.mode == Mode::Robust
         && config.dof != Freedom::Similarity
         && config.outliers.radius_m.is_none()
