@@ -77,6 +77,33 @@ impl Described {
         })
     }
 
+    /// The `share` of the points, 0 to 1, whose descriptors are least like the mean of all, in their order.
+    ///
+    /// What looks like most of a cloud tells no place in it (the persistent features of Rusu, Blodow & Beetz 2009,
+    /// who draw the line at deviations from the mean).
+    pub fn least_usual(self, share: f64) -> Self {
+        let mut mean = [0.0_f32; LENGTH];
+        for descriptor in &self.descriptors {
+            for (sum, v) in mean.iter_mut().zip(descriptor) {
+                *sum += v;
+            }
+        }
+        let likeness = |descriptor: &Descriptor| -> f32 {
+            descriptor.iter().zip(&mean).map(|(a, b)| a * b).sum()
+        };
+        let likenesses = self.descriptors.iter().map(likeness);
+        let mut order: Vec<(f32, usize)> = likenesses.zip(0..).collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0));
+        order.truncate((share * self.len() as f64).ceil() as usize);
+        let mut kept: Vec<usize> = order.into_iter().map(|(_, i)| i).collect();
+        kept.sort_unstable();
+        Self {
+            points: kept.iter().map(|i| self.points[*i]).collect(),
+            normals: kept.iter().map(|i| self.normals[*i]).collect(),
+            descriptors: kept.iter().map(|i| self.descriptors[*i]).collect(),
+        }
+    }
+
     /// Number of described points.
     pub fn len(&self) -> usize {
         self.points.len()
@@ -300,6 +327,52 @@ mod tests {
         assert!(alike.len() > 100, "{}", alike.len());
         assert!(mean(&alike) > 0.95, "{}", mean(&alike));
         assert!(mean(&alike) - mean(&unlike) > 0.05, "{}", mean(&unlike));
+    }
+
+    #[test]
+    fn what_is_least_usual_stands_out_of_level_ground() {
+        // Rough ground of 2 × 1, with waves on the last 0.6.
+        let mut stream = Stream::new(4, "ground", 0);
+        let points: Vec<Point> = (0..12_000)
+            .map(|_| {
+                [
+                    2.0 * stream.uniform(),
+                    stream.uniform(),
+                    0.002 * stream.normal(),
+                ]
+            })
+            .map(|[x, y, z]| {
+                let height = if x > 1.4 {
+                    0.06 * (16.0 * x).sin() * (14.0 * y).cos()
+                } else {
+                    0.0
+                };
+                [x, y, z + height]
+            })
+            .collect();
+        let cloud = Cloud::of_any_shape("ground", &points).unwrap();
+        let cloud = SurfaceCloud::new(&cloud, 0, &Progress::silent()).unwrap();
+        let thinned = cloud.one_for_each_cell(0.03);
+        let silent = Progress::silent();
+        let all = Described::new(&cloud, &thinned, 0.04, 0.12, &silent).unwrap();
+        let (n, of_each): (usize, Vec<(Point, Descriptor)>) = {
+            let pairs = all
+                .points
+                .iter()
+                .copied()
+                .zip(all.descriptors.iter().copied());
+            (all.len(), pairs.collect())
+        };
+        let least_usual = all.least_usual(0.3);
+        assert_eq!(least_usual.len(), (0.3 * n as f64).ceil() as usize);
+        let is_wavy = |p: &&Point| p[0] + cloud.origin[0] > 1.3;
+        let n_wavy = least_usual.points.iter().filter(is_wavy).count();
+        assert!(n_wavy as f64 > 0.8 * least_usual.len() as f64, "{n_wavy}");
+        // They keep their order and what was said of them.
+        let mut rest = of_each.iter();
+        for (p, descriptor) in least_usual.points.iter().zip(&least_usual.descriptors) {
+            assert!(rest.any(|other| other == &(*p, *descriptor)));
+        }
     }
 
     #[test]

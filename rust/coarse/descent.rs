@@ -248,3 +248,65 @@ pub(super) fn truncated_cost(points: &[Point], grid: &NearestGrid, pose: &Rigid,
         .sum();
     sum / (max_sq * points.len().max(1) as f64)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloud::Cloud;
+    use crate::progress::Progress;
+    use crate::random::Stream;
+    use crate::surface_cloud::SurfaceCloud;
+
+    /// Waves over a square of edge 1.
+    fn waves(survey: u64) -> SurfaceCloud {
+        let mut stream = Stream::new(survey, "waves", 0);
+        let points: Vec<Point> = (0..4000)
+            .map(|_| [stream.uniform(), stream.uniform()])
+            .map(|[x, y]| [x, y, 0.1 * (9.0 * x).sin() * (7.0 * y + x).cos()])
+            .collect();
+        SurfaceCloud::new(&Cloud::new(&points).unwrap(), survey, &Progress::silent()).unwrap()
+    }
+
+    #[test]
+    fn a_pose_at_rest_takes_few_steps_and_one_on_its_way_all_it_needs() {
+        let (moving, fixed) = (waves(1), waves(2));
+        let right = Rigid::identity().between_local_coordinates(moving.origin, fixed.origin);
+        let grid = NearestGrid::new(fixed.points(), 0.01, 0.2, 1_000_000).unwrap();
+        let fixed = Fixed {
+            surfaces: &fixed.surfaces,
+            grid: &grid,
+            field: None,
+        };
+        let truncation = Shrinking {
+            first: 0.07,
+            last: 0.01,
+            n_steps: 24,
+        };
+        let run = |start: Rigid| {
+            let (points, surfaces) = (moving.points(), &moving.surfaces);
+            to_planes(
+                points,
+                surfaces,
+                fixed,
+                start.into(),
+                Freedom::Rigid,
+                truncation,
+            )
+        };
+        let off = Rigid::from_euler([0.03, -0.02, 0.05], [0.03, -0.02, 0.02]) * right;
+        let (from_right, n_from_right) = run(right);
+        let (from_off, n_from_off) = run(off);
+        // Both truncations and every fourth between them, and a few more on the way.
+        assert!(
+            n_from_right <= 8 && n_from_off > n_from_right,
+            "{n_from_right} {n_from_off}"
+        );
+        for found in [from_right, from_off] {
+            let (turn, shift) = (
+                (found.rigid * right.inverse()).rotation_angle_rad(),
+                (found.rigid.translation - right.translation).norm(),
+            );
+            assert!(turn < 0.003 && shift < 0.002, "{turn} {shift}");
+        }
+    }
+}

@@ -8,7 +8,7 @@
 
 use crate::cloud::{Point, distance_sq};
 use crate::descriptors::{Described, Descriptor, SOME, SomeDescriptors};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::freedom::Freedom;
 use crate::kabsch::PairSums;
 use crate::parallel;
@@ -25,6 +25,9 @@ const NORMAL_RADIUS: f64 = 0.03;
 const RADIUS: f64 = 0.075;
 /// Matching costs the product of the numbers of points: larger clouds are described more coarsely.
 const MAX_PRODUCT: f64 = 3e7;
+/// This share of each cloud is matched, what is least like the rest of it: level ground looks alike everywhere, and its
+/// matches, closest of all, would crowd out those that tell a place.
+const MATCHED: f64 = 0.5;
 
 const MAX_MATCHES: usize = 2000;
 const N_SEEDS: usize = 200;
@@ -57,7 +60,7 @@ pub(super) fn propose(
     };
     let mut voxel_m = VOXEL * unit_m;
     let mut points = thinned(voxel_m);
-    let product = points.0.len() as f64 * points.1.len() as f64;
+    let product = MATCHED * points.0.len() as f64 * MATCHED * points.1.len() as f64;
     if product > MAX_PRODUCT {
         // Points grow with the square of the voxel's edge, their product with the fourth power.
         voxel_m *= (product / MAX_PRODUCT).powf(0.25);
@@ -66,7 +69,8 @@ pub(super) fn propose(
     let describe = |cloud: &SurfaceCloud, points: &[Point]| {
         let normal_m = (NORMAL_RADIUS * unit_m).max(1.5 * voxel_m);
         let radius_m = (RADIUS * unit_m).max(3.75 * voxel_m);
-        Described::new(cloud, points, normal_m, radius_m, progress)
+        let all = Described::new(cloud, points, normal_m, radius_m, progress)?;
+        Ok::<_, Error>(all.least_usual(MATCHED))
     };
     let (a, b) = parallel::both(
         || describe(moving, &points.0),

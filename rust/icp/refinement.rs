@@ -136,7 +136,7 @@ impl Refinement<'_> {
     /// Settles once for all iterations what steps turn about and what they must not do.
     pub(super) fn settle(&mut self, pose: &Similarity) {
         /// So many pairs tell which motions are open.
-        const ENOUGH_TO_SETTLE: usize = 20_000;
+        const ENOUGH_TO_SETTLE: usize = 5000;
         let n = self.pairs.n_kept as f64;
         for (i, _) in self.pairs.kept() {
             let moved = pose.apply(&self.clouds.source[i]);
