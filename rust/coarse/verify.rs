@@ -53,8 +53,8 @@ const N_RIVALS: usize = 8;
 /// Random poses that tell what chance reaches.
 const N_CHANCE: usize = 4;
 
-/// Cells of the near field: not much coarser than the voxels.
-const FINE_CELL: f64 = 1.0 / 150.0;
+/// Cells of the near field: about as fine as the voxels.
+const FINE_CELL: f64 = 1.0 / 200.0;
 const MAX_BLOCKS: usize = 4_000_000;
 
 /// Poses closer than this to the best one are the best one, not its rival.
