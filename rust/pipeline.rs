@@ -148,7 +148,7 @@ fn route(
             break;
         }
     }
-    let (mut prepared, found) = best.ok_or_else(|| {
+    let (mut prepared, mut found) = best.ok_or_else(|| {
         let [least, most] = config.scale_bounds;
         Error::NoSolution {
             reason: format!(
@@ -158,11 +158,7 @@ fn route(
         }
     })?;
     let mut coarse_pose = found.candidates[0].target_from_source;
-    let candidates: Vec<(Similarity, f64)> = found
-        .candidates
-        .iter()
-        .map(|c| (prepared.pose_to_given(&c.target_from_source), c.score))
-        .collect();
+    let mut candidates = candidates_of(&prepared, &found);
     if config.dof == Freedom::Similarity {
         // The same voxel for both clouds, now that their scale is known.
         let (pose, _) = candidates[0];
@@ -193,18 +189,32 @@ fn route(
         &mut log,
         progress,
     )?;
-    if fine.lies_apart(&prepared, &config) {
+    let lies_apart = fine.lies_apart(&prepared, &config);
+    // Where no surface is even, strays may lie on each other while what they hide does not.
+    let tells_nothing = fine.surface_offset_m.is_nan();
+    if lies_apart || tells_nothing {
+        let (before, max_m) = ((&prepared, &fine), max_distance_m);
         let without = brought_to_rest_without_strays(
-            &prepared,
-            &fine,
-            clouds,
-            max_distance_m,
-            &config,
-            &mut log,
-            progress,
+            &prepared, &fine, clouds, max_m, &config, &mut log, progress,
         )?;
-        if let Some((cleaned, again)) = without {
-            (prepared, fine) = (cleaned, again);
+        match without {
+            Some((cleaned, again)) if lies_apart && again.lies_much_closer_than(&fine) => {
+                (prepared, fine) = (cleaned, again);
+            }
+            Some((cleaned, again))
+                if tells_nothing
+                    && (again.agrees_far_less_than(&fine)
+                        || fine::apart_m(before, (&cleaned, &again)) > max_m) =>
+            {
+                log.keep();
+                found = search::search(&cleaned, &config, deadline, &mut log, progress)?;
+                log.keep();
+                candidates = candidates_of(&cleaned, &found);
+                coarse_pose = found.candidates[0].target_from_source;
+                fine = brought_to_rest(&cleaned, &coarse_pose, max_m, &config, &mut log, progress)?;
+                prepared = cleaned;
+            }
+            _ => (),
         }
     }
     let (pose, agreed, known) = (fine.pose, fine.agreed, prepared.known(&config.known)?);
@@ -320,6 +330,14 @@ fn route(
         stages: log.records,
         config,
     })
+}
+
+/// The poses that the search found, between the clouds that were given, and their scores.
+fn candidates_of(prepared: &Prepared, found: &CoarseResult) -> Vec<(Similarity, f64)> {
+    let candidates = found.candidates.iter();
+    candidates
+        .map(|c| (prepared.pose_to_given(&c.target_from_source), c.score))
+        .collect()
 }
 
 fn is_at_bound(scale: f64, [low, high]: &[f64; 2]) -> bool {
