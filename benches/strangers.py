@@ -228,6 +228,30 @@ def mirrored_hills(rng: Generator) -> tuple[Array, Array, bool]:
     return hills.survey(0, 4, rng) * MIRROR, hills.survey(0.5, 4.5, rng), False
 
 
+def strewn(hills: Array, depth: float, share: float, rng: Generator) -> Array:
+    """Move a share of the points up by as much as a depth, or down where it is negative."""
+    is_stray = rng.random(len(hills)) < share
+    return hills + np.array([0, 0, depth]) * (is_stray * rng.random(len(hills)))[:, None]
+
+
+def strays_of(rng: Generator) -> tuple[float, float]:
+    """Draw how deep strays lie above the one cloud and below the other, and the share of them."""
+    return rng.uniform(0.1, 0.4), rng.uniform(0.3, 0.5)
+
+
+def strewn_hills(rng: Generator) -> tuple[Array, Array, bool]:
+    """Strays stand above the one and below the other: where they lie on each other, the hills do not."""
+    hills, (depth, share) = Hills(rng), strays_of(rng)
+    one, other = (hills.survey(0, 4, rng) for _ in range(2))
+    return strewn(one, depth, share, rng), strewn(other, -depth, share, rng), True
+
+
+def strewn_other_hills(rng: Generator) -> tuple[Array, Array, bool]:
+    one, other, is_true = other_hills(rng)
+    depth, share = strays_of(rng)
+    return strewn(one, depth, share, rng), strewn(other, rng.choice([-1, 1]) * depth, share, rng), is_true
+
+
 class Body:
     """A lumpy closed body: a sphere whose radius is a smooth random function of the direction."""
 
@@ -361,4 +385,6 @@ MAKERS: dict[Maker, int] = {
     noisy_sites_of_one_plan: 6,
     noisy_mirrored_sites: 6,
     noisy_sites_without_overlap: 4,
+    strewn_hills: 8,
+    strewn_other_hills: 8,
 }

@@ -1,4 +1,4 @@
-"""Registration of clouds many of whose points lie on no surface: above it in one cloud, below it in the other."""
+"""Registration of clouds full of strays: above the surface in one cloud and below it in the other."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SIDE_M = 100.0
 
 
 def hills(survey: int, stray_share: float, depth_m: float, noise_m: float, n_points: int = 20_000) -> Floats:
-    """Return hills on a square, a share of the points anywhere up to `depth_m` above them (below, where negative)."""
+    """Return hills on a square, a share of the points up to `depth_m` above them (below, where negative)."""
     rng = np.random.default_rng([5, survey])
     xy = rng.uniform(0, SIDE_M, (n_points, 2))
     z = noise_m * rng.normal(size=n_points)
