@@ -9,7 +9,7 @@ mod prepare;
 mod search;
 mod strays;
 
-use fine::{brought_to_rest, brought_to_rest_without_strays};
+use fine::{Fine, brought_to_rest, brought_to_rest_without_strays, rests_on_strays};
 use prepare::{Prepared, cropped};
 
 pub use apart::{Evaluation, evaluate, fuse_clouds};
@@ -34,6 +34,8 @@ use crate::verdict::{Evidence, Rival, Strength, Verdict, judge};
 pub const VOXELS_PER_EXTENT: f64 = 250.0;
 /// A pose that leads its rivals by more is not doubted: whether the source is mirrored is not tried.
 const CLEAR_AMBIGUITY_RATIO: f64 = 5.0;
+const ON_STRAYS: &str = "strays of the one cloud lie on strays of the other, and surfaces do not lie on surfaces: remove \
+    the points that belong to no surface from both files, or give a prior";
 /// A partner within so many voxels supports the pose, where no distance is asked for.
 pub const SUPPORT_IN_VOXELS: f64 = 2.5;
 
@@ -189,32 +191,44 @@ fn route(
         &mut log,
         progress,
     )?;
-    let lies_apart = fine.lies_apart(&prepared, &config);
-    // Where no surface is even, strays may lie on each other while what they hide does not.
-    let tells_nothing = fine.surface_offset_m.is_nan();
-    if lies_apart || tells_nothing {
-        let (before, max_m) = ((&prepared, &fine), max_distance_m);
+    if fine.lies_apart(&prepared, &config) {
         let without = brought_to_rest_without_strays(
-            &prepared, &fine, clouds, max_m, &config, &mut log, progress,
+            &prepared,
+            &fine,
+            clouds,
+            max_distance_m,
+            &config,
+            &mut log,
+            progress,
         )?;
-        match without {
-            Some((cleaned, again)) if lies_apart && again.lies_much_closer_than(&fine) => {
-                (prepared, fine) = (cleaned, again);
+        if let Some((cleaned, again)) = without {
+            (prepared, fine) = (cleaned, again);
+        }
+    }
+    let on_strays = |prepared: &Prepared, fine: &Fine| {
+        rests_on_strays(prepared, fine, max_distance_m, &config, progress)
+    };
+    let mut rests_on_strays = on_strays(&prepared, &fine)?;
+    if rests_on_strays {
+        let (n_source, n_target) = (prepared.source.cloud.len(), prepared.target.cloud.len());
+        match search::search_without_strays(
+            &prepared, clouds, &config, deadline, &mut log, progress,
+        )? {
+            Some((cleaned, again)) => {
+                (prepared, found) = (cleaned, again);
+                candidates = candidates_of(&prepared, &found);
+                let pose = found.candidates[0].target_from_source;
+                fine = brought_to_rest(
+                    &prepared,
+                    &pose,
+                    max_distance_m,
+                    &config,
+                    &mut log,
+                    progress,
+                )?;
+                rests_on_strays = on_strays(&prepared, &fine)?;
             }
-            Some((cleaned, again))
-                if tells_nothing
-                    && (again.agrees_far_less_than(&fine)
-                        || fine::apart_m(before, (&cleaned, &again)) > max_m) =>
-            {
-                log.keep();
-                found = search::search(&cleaned, &config, deadline, &mut log, progress)?;
-                log.keep();
-                candidates = candidates_of(&cleaned, &found);
-                coarse_pose = found.candidates[0].target_from_source;
-                fine = brought_to_rest(&cleaned, &coarse_pose, max_m, &config, &mut log, progress)?;
-                prepared = cleaned;
-            }
-            _ => (),
+            None => log.begin(Stage::Verdict, n_source, n_target)?,
         }
     }
     let (pose, agreed, known) = (fine.pose, fine.agreed, prepared.known(&config.known)?);
@@ -258,6 +272,9 @@ fn route(
         },
         &config.verdict,
     );
+    if rests_on_strays {
+        judgement.doubt(vec![ON_STRAYS.into()]);
+    }
     let is_clear =
         judgement.verdict == Verdict::Accepted && found.ambiguity_ratio > CLEAR_AMBIGUITY_RATIO;
     if !is_clear && config.mode == Mode::Robust {

@@ -2,7 +2,7 @@
 
 use super::prepare::Prepared;
 use super::search::may_have_strays;
-use crate::cloud::{Cloud, Point, distance_sq};
+use crate::cloud::Cloud;
 use crate::config::{Config, Mode};
 use crate::error::Result;
 use crate::fitness::{self, Agreement, Support, Tolerance, agreement};
@@ -34,17 +34,6 @@ pub(super) struct Fine {
 }
 
 impl Fine {
-    /// Whether even surfaces lie less than half as far apart as they did before. A part of the noise goes with strays,
-    /// so that a little less proves nothing.
-    pub(super) fn lies_much_closer_than(&self, before: &Self) -> bool {
-        self.surface_offset_m < 0.5 * before.surface_offset_m
-    }
-
-    /// Whether hardly half as much agrees as did before: what did were strays.
-    pub(super) fn agrees_far_less_than(&self, before: &Self) -> bool {
-        self.agreed.net_share() < 0.5 * before.agreed.net_share()
-    }
-
     /// Whether even surfaces lie farther apart than the verdict accepts.
     pub(super) fn lies_apart(&self, prepared: &Prepared, config: &Config) -> bool {
         let conflict_share = self.agreed.conflict_share;
@@ -104,7 +93,8 @@ pub(super) fn brought_to_rest(
     })
 }
 
-/// The same from there between the clouds without their strays, where there are many; else `None`. With these clouds.
+/// The same between the clouds without their strays, where there are many and it was these that drew surfaces apart;
+/// else `None`. With these clouds.
 pub(super) fn brought_to_rest_without_strays(
     prepared: &Prepared,
     fine: &Fine,
@@ -114,6 +104,8 @@ pub(super) fn brought_to_rest_without_strays(
     log: &mut StageLog<'_>,
     progress: &Progress<'_>,
 ) -> Result<Option<(Prepared, Fine)>> {
+    /// A part of the noise goes with the strays, so a little less proves nothing.
+    const LEFT: f64 = 0.5;
     if !may_have_strays(config) || !prepared.is_strewn(progress)? {
         return Ok(None);
     }
@@ -129,21 +121,23 @@ pub(super) fn brought_to_rest_without_strays(
     };
     let pose = cleaned.pose_from_given(&prepared.pose_to_given(&fine.pose));
     let again = brought_to_rest(&cleaned, &pose, max_distance_m, config, log, progress)?;
-    Ok(Some((cleaned, again)))
+    let lies_closer = again.surface_offset_m < LEFT * fine.surface_offset_m;
+    Ok(lies_closer.then_some((cleaned, again)))
 }
 
-/// How far apart two poses of the source bring its points, root mean square.
-pub(super) fn apart_m(
-    (prepared, fine): (&Prepared, &Fine),
-    (other_prepared, other): (&Prepared, &Fine),
-) -> f64 {
-    /// So many points tell.
-    const N_ASKED: usize = 100;
-    let other = prepared.pose_from_given(&other_prepared.pose_to_given(&other.pose));
-    let cloud = &prepared.source.cloud;
-    let points = cloud.points_of(cloud.drawn(N_ASKED));
-    let apart_sq = |p: &Point| distance_sq(&fine.pose.apply(p), &other.apply(p));
-    (points.iter().map(apart_sq).sum::<f64>() / points.len() as f64).sqrt()
+/// Whether the pose rests on strays alone: no surface is even enough to vouch for it, there are many strays, and
+/// surfaces do not lie on surfaces.
+pub(super) fn rests_on_strays(
+    prepared: &Prepared,
+    fine: &Fine,
+    max_distance_m: f64,
+    config: &Config,
+    progress: &Progress<'_>,
+) -> Result<bool> {
+    Ok(fine.surface_offset_m.is_nan()
+        && may_have_strays(config)
+        && prepared.is_strewn(progress)?
+        && prepared.lies_on_strays(&fine.pose, max_distance_m, progress)?)
 }
 
 /// Brings the coarse pose to rest: the paper's ICP, or point-to-plane on the overlap. The points that were

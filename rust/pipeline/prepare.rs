@@ -1,7 +1,7 @@
 //! Two clouds made comparable: one voxel for both, surfaces, and witnesses.
 
 use super::VOXELS_PER_EXTENT;
-use super::strays::{share_of_strays, without_strays};
+use super::strays::{share_of_strays, surfaces_on_surfaces, without_strays};
 use crate::cloud::{Cloud, MIN_POINTS, Point};
 use crate::coarse;
 use crate::config::Config;
@@ -79,6 +79,25 @@ impl Prepared {
         let share = |of: &Witnesses| share_of_strays(&of.cloud, progress);
         let (of_source, of_target) = parallel::both(|| share(&self.source), || share(&self.target));
         Ok((of_source? + of_target?) / 2.0 > MANY)
+    }
+
+    /// Whether at `pose` the surfaces of the clouds lie on each other's strays, not on surfaces.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub(super) fn lies_on_strays(
+        &self,
+        pose: &Similarity,
+        max_distance_m: f64,
+        progress: &Progress<'_>,
+    ) -> Result<bool> {
+        let (source, target) = (&self.source.cloud, &self.target.cloud);
+        let (back, back_m) = (pose.inverse(), max_distance_m / pose.scale);
+        let (forth, back) = parallel::both(
+            || surfaces_on_surfaces(source, target, pose, max_distance_m, progress),
+            || surfaces_on_surfaces(target, source, &back, back_m, progress),
+        );
+        Ok((forth? + back?) / 2.0 < 1.0)
     }
 
     /// The same without the voxels of strays; `None` where hardly any would go, or hardly any stay.

@@ -113,7 +113,7 @@ pub(super) fn search_also_without_strays(
 
 /// The search between the clouds without strays; `None` where that changes nothing, or where no start led
 /// anywhere.
-fn search_without_strays(
+pub(super) fn search_without_strays(
     prepared: &Prepared,
     [source, target]: [&Cloud; 2],
     config: &Config,

@@ -11,6 +11,7 @@ use crate::error::Result;
 use crate::neighbors::{Block, Collector, NeighborIndex, Places, WIDTH};
 use crate::normals::Symmetric;
 use crate::progress::Progress;
+use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
 use crate::voxel::VoxelResult;
 
@@ -60,6 +61,42 @@ pub(super) fn share_of_strays(cloud: &SurfaceCloud, progress: &Progress<'_>) -> 
         .map_k_nearest(&places, N_NEAR, progress, is_on_surface)?;
     let n_strays = is_kept.iter().filter(|is_kept| !**is_kept).count();
     Ok(n_strays as f64 / is_kept.len().max(1) as f64)
+}
+
+/// How often the partner of a point on a surface of `from`, its nearest of `to` and at most so far away, lies on a
+/// surface as well, by how often any point of `to` does, by samples: above 1 where surfaces lie on surfaces, below where
+/// they lie on strays. NaN where no point on a surface has a partner, or no point of `to` lies on a surface.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`].
+pub(super) fn surfaces_on_surfaces(
+    from: &SurfaceCloud,
+    to: &SurfaceCloud,
+    to_from: &Similarity,
+    max_distance_m: f64,
+    progress: &Progress<'_>,
+) -> Result<f64> {
+    const N_PAIRS: usize = 2000;
+    let max_sq = max_distance_m * max_distance_m;
+    let pair = |i: &u32| {
+        let own = from.points()[*i as usize];
+        let moved = to_from.apply(&own);
+        let is_near = to.is_near_box(&moved, max_distance_m);
+        let near = is_near.then(|| to.index.nearest_within(&moved, max_sq))??;
+        Some((own, to.points()[near.index as usize]))
+    };
+    let pairs = from.drawn(from.len()).iter().filter_map(pair);
+    let (own, theirs): (Vec<Point>, Vec<Point>) = pairs.take(N_PAIRS).unzip();
+    let lie_on_surface = |cloud: &SurfaceCloud, points: &[Point]| {
+        let index = &cloud.index;
+        index.map_k_nearest(&Places::new(points), N_NEAR, progress, is_on_surface)
+    };
+    let (own, theirs) = (lie_on_surface(from, &own)?, lie_on_surface(to, &theirs)?);
+    let of_surfaces = own.iter().zip(&theirs).filter(|(own, _)| **own);
+    let n_surfaces = of_surfaces.clone().count();
+    let n_on_surfaces = of_surfaces.filter(|(_, theirs)| **theirs).count();
+    let of_any = 1.0 - share_of_strays(to, progress)?;
+    Ok(n_on_surfaces as f64 / n_surfaces as f64 / of_any)
 }
 
 /// The voxels round which many points stand.
@@ -176,6 +213,7 @@ fn half_of_all_have(n_near: &[u64], n_points: &[u32]) -> u64 {
 mod tests {
     use super::*;
     use crate::random::Stream;
+    use crate::rigid::Rigid;
     use crate::voxel::downsample;
 
     #[test]
@@ -237,6 +275,36 @@ mod tests {
         assert!(count(after, 0.0, 0.1) > 0.95 * count(before, 0.0, 0.1));
         assert!(count(before, 1.0, 3.0) > 1000.0);
         assert!(count(after, 1.0, 3.0) < 0.15 * count(before, 1.0, 3.0));
+    }
+
+    #[test]
+    fn surfaces_lie_on_surfaces_at_the_right_pose_and_on_strays_where_strays_lie_on_strays() {
+        // A hill of 60 × 60 twice, a third of the points up to 5 above it, or below it.
+        let hill = |seed: u64, depth: f64| {
+            let mut stream = Stream::new(seed, "hill", 0);
+            let points: Vec<Point> = (0..6000)
+                .map(|i| {
+                    let (x, y) = (60.0 * stream.uniform(), 60.0 * stream.uniform());
+                    let off = if i % 3 == 0 {
+                        depth * stream.uniform()
+                    } else {
+                        0.0
+                    };
+                    [x, y, 8.0 * (x / 15.0).sin() * (y / 20.0).cos() + off]
+                })
+                .collect();
+            SurfaceCloud::new(&Cloud::new(&points).unwrap(), seed, &Progress::silent()).unwrap()
+        };
+        let (from, to) = (hill(1, 5.0), hill(2, -5.0));
+        let at = |height: f64| {
+            let pose = Rigid::from_euler([0.0; 3], [0.0, 0.0, height]);
+            let pose = pose.between_local_coordinates(from.origin, to.origin);
+            surfaces_on_surfaces(&from, &to, &pose.into(), 1.0, &Progress::silent()).unwrap()
+        };
+        assert!(at(0.0) > 1.1, "{}", at(0.0));
+        // There the hills lie 4 apart, and all strays but the outermost on strays.
+        assert!(at(-4.0) < 0.9, "{}", at(-4.0));
+        assert!(at(1000.0).is_nan());
     }
 
     #[test]
