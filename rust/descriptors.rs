@@ -81,7 +81,7 @@ impl Described {
     ///
     /// What looks like most of a cloud tells no place in it (the persistent features of Rusu, Blodow & Beetz 2009,
     /// who draw the line at deviations from the mean).
-    pub fn least_usual(self, share: f64) -> Self {
+    pub fn least_usual(&self, share: f64) -> Self {
         let mut mean = [0.0_f32; LENGTH];
         for descriptor in &self.descriptors {
             for (sum, v) in mean.iter_mut().zip(descriptor) {

@@ -8,7 +8,7 @@
 
 use crate::cloud::{Point, distance_sq};
 use crate::descriptors::{Described, Descriptor, SOME, SomeDescriptors};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::freedom::Freedom;
 use crate::kabsch::PairSums;
 use crate::parallel;
@@ -25,9 +25,9 @@ const NORMAL_RADIUS: f64 = 0.03;
 const RADIUS: f64 = 0.075;
 /// Matching costs the product of the numbers of points: larger clouds are described more coarsely.
 const MAX_PRODUCT: f64 = 3e7;
-/// This share of each cloud is matched, what is least like the rest of it: level ground looks alike everywhere, and its
-/// matches, closest of all, would crowd out those that tell a place.
-const MATCHED: f64 = 0.5;
+/// This share of each cloud, what is least like the rest of it, is also matched alone: level ground looks alike everywhere,
+/// and its matches, closest of all, crowd out those that tell a place. Where little is shared they are needed.
+const LEAST_USUAL: f64 = 0.5;
 
 const MAX_MATCHES: usize = 2000;
 const N_SEEDS: usize = 200;
@@ -60,7 +60,7 @@ pub(super) fn propose(
     };
     let mut voxel_m = VOXEL * unit_m;
     let mut points = thinned(voxel_m);
-    let product = MATCHED * points.0.len() as f64 * MATCHED * points.1.len() as f64;
+    let product = points.0.len() as f64 * points.1.len() as f64;
     if product > MAX_PRODUCT {
         // Points grow with the square of the voxel's edge, their product with the fourth power.
         voxel_m *= (product / MAX_PRODUCT).powf(0.25);
@@ -69,18 +69,47 @@ pub(super) fn propose(
     let describe = |cloud: &SurfaceCloud, points: &[Point]| {
         let normal_m = (NORMAL_RADIUS * unit_m).max(1.5 * voxel_m);
         let radius_m = (RADIUS * unit_m).max(3.75 * voxel_m);
-        let all = Described::new(cloud, points, normal_m, radius_m, progress)?;
-        Ok::<_, Error>(all.least_usual(MATCHED))
+        Described::new(cloud, points, normal_m, radius_m, progress)
     };
     let (a, b) = parallel::both(
         || describe(moving, &points.0),
         || describe(fixed, &points.1),
     );
     let (a, b) = (a?, b?);
-    let matches = mutual_matches(&a.descriptors, &b.descriptors);
     let tolerance_m = TOLERANCE_IN_VOXELS * voxel_m;
-    let graph = Graph::new(&a, &b, &matches, tolerance_m, freedom);
+    let of_all = propose_for(&a, &b, tolerance_m, freedom);
     progress.check()?;
+    let (a, b) = (a.least_usual(LEAST_USUAL), b.least_usual(LEAST_USUAL));
+    let of_least_usual = propose_for(&a, &b, tolerance_m, freedom);
+    progress.check()?;
+    // In turns, as what explains most matches is not comparable between the two.
+    let n = of_all.len().max(of_least_usual.len());
+    let in_turns = (0..n).flat_map(|i| [of_all.get(i), of_least_usual.get(i)]);
+    Ok(distinct(in_turns.flatten().copied(), tolerance_m))
+}
+
+/// The first of each of several poses that hardly differ.
+fn distinct(hypotheses: impl Iterator<Item = Hypothesis>, tolerance_m: f64) -> Vec<Hypothesis> {
+    let mut kept: Vec<Hypothesis> = Vec::new();
+    for hypothesis in hypotheses {
+        let is_new =
+            |k: &Hypothesis| differ_rigid(&k.pose, &hypothesis.pose, SAME_RAD, 2.0 * tolerance_m);
+        if kept.len() < MAX_HYPOTHESES && kept.iter().all(is_new) {
+            kept.push(hypothesis);
+        }
+    }
+    kept
+}
+
+/// The same from the matches between two described clouds.
+fn propose_for(
+    a: &Described,
+    b: &Described,
+    tolerance_m: f64,
+    freedom: Freedom,
+) -> Vec<Hypothesis> {
+    let matches = mutual_matches(&a.descriptors, &b.descriptors);
+    let graph = Graph::new(a, b, &matches, tolerance_m, freedom);
     let pairs: Vec<(Point, Point)> = matches
         .iter()
         .map(|m| (a.points[m.0 as usize], b.points[m.1 as usize]))
@@ -92,15 +121,7 @@ pub(super) fn propose(
     });
     let mut found: Vec<Hypothesis> = found.into_iter().flatten().collect();
     found.sort_by_key(|hypothesis| std::cmp::Reverse(hypothesis.consensus));
-    let mut kept: Vec<Hypothesis> = Vec::new();
-    for hypothesis in found {
-        let is_new =
-            |k: &Hypothesis| differ_rigid(&k.pose, &hypothesis.pose, SAME_RAD, 2.0 * tolerance_m);
-        if kept.len() < MAX_HYPOTHESES && kept.iter().all(is_new) {
-            kept.push(hypothesis);
-        }
-    }
-    Ok(kept)
+    distinct(found.into_iter(), tolerance_m)
 }
 
 /// Pairs of points that are each other's most similar one, the most similar pairs first.

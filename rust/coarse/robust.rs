@@ -287,8 +287,8 @@ pub(crate) fn search_asking(
                     hypotheses::propose(moving, fixed, unit_m, problem.freedom, progress)?;
                 // Where nothing was looked at before, they are the rivals, too.
                 let n_taken = match i {
-                    0 => options.n_verified.div_ceil(2),
-                    _ => n_early,
+                    0 => options.n_verified,
+                    _ => 2 * n_early,
                 };
                 proposed.iter().take(n_taken).map(|h| h.pose).collect()
             }
