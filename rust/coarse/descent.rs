@@ -250,7 +250,7 @@ pub(super) fn truncated_cost(points: &[Point], grid: &NearestGrid, pose: &Rigid,
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::cloud::Cloud;
     use crate::progress::Progress;
@@ -258,7 +258,7 @@ mod tests {
     use crate::surface_cloud::SurfaceCloud;
 
     /// Waves over a square of edge 1.
-    fn waves(survey: u64) -> SurfaceCloud {
+    pub(in crate::coarse) fn waves(survey: u64) -> SurfaceCloud {
         let mut stream = Stream::new(survey, "waves", 0);
         let points: Vec<Point> = (0..4000)
             .map(|_| [stream.uniform(), stream.uniform()])

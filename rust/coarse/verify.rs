@@ -436,18 +436,8 @@ impl<'a> Verifier<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::descent::tests::waves;
     use super::*;
-    use crate::cloud::Cloud;
-
-    /// Waves over a square of edge 1.
-    fn waves(survey: u64) -> SurfaceCloud {
-        let mut stream = Stream::new(survey, "waves", 0);
-        let points: Vec<Point> = (0..4000)
-            .map(|_| [stream.uniform(), stream.uniform()])
-            .map(|[x, y]| [x, y, 0.1 * (9.0 * x).sin() * (7.0 * y + x).cos()])
-            .collect();
-        SurfaceCloud::new(&Cloud::new(&points).unwrap(), survey, &Progress::silent()).unwrap()
-    }
 
     #[test]
     fn a_cloud_that_shrank_to_nothing_leads_nobody() {

@@ -55,12 +55,20 @@ pub(super) fn without_strays(
 /// [`crate::Error::Cancelled`].
 pub(super) fn share_of_strays(cloud: &SurfaceCloud, progress: &Progress<'_>) -> Result<f64> {
     const N_ASKED: usize = 2000;
-    let places = Places::new(&cloud.points_of(cloud.drawn(N_ASKED)));
-    let is_kept = cloud
-        .index
-        .map_k_nearest(&places, N_NEAR, progress, is_on_surface)?;
+    let is_kept = lie_on_surface(cloud, &cloud.points_of(cloud.drawn(N_ASKED)), progress)?;
     let n_strays = is_kept.iter().filter(|is_kept| !**is_kept).count();
     Ok(n_strays as f64 / is_kept.len().max(1) as f64)
+}
+
+/// Which of some points of `cloud` lie on the surface that most of what stands round them lies on.
+fn lie_on_surface(
+    cloud: &SurfaceCloud,
+    points: &[Point],
+    progress: &Progress<'_>,
+) -> Result<Vec<bool>> {
+    let places = Places::new(points);
+    let index = &cloud.index;
+    index.map_k_nearest(&places, N_NEAR, progress, is_on_surface)
 }
 
 /// How often the partner of a point on a surface of `from`, its nearest of `to` and at most so far away, lies on a
@@ -87,11 +95,8 @@ pub(super) fn surfaces_on_surfaces(
     };
     let pairs = from.drawn(from.len()).iter().filter_map(pair);
     let (own, theirs): (Vec<Point>, Vec<Point>) = pairs.take(N_PAIRS).unzip();
-    let lie_on_surface = |cloud: &SurfaceCloud, points: &[Point]| {
-        let index = &cloud.index;
-        index.map_k_nearest(&Places::new(points), N_NEAR, progress, is_on_surface)
-    };
-    let (own, theirs) = (lie_on_surface(from, &own)?, lie_on_surface(to, &theirs)?);
+    let own = lie_on_surface(from, &own, progress)?;
+    let theirs = lie_on_surface(to, &theirs, progress)?;
     let of_surfaces = own.iter().zip(&theirs).filter(|(own, _)| **own);
     let n_surfaces = of_surfaces.clone().count();
     let n_on_surfaces = of_surfaces.filter(|(_, theirs)| **theirs).count();
