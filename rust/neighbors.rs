@@ -98,6 +98,11 @@ impl NeighborIndex {
         Places::of(&self.tree)
     }
 
+    /// One in `stride` of the groups of eight of [`NeighborIndex::places`], numbered anew.
+    pub(crate) fn some_places(&self, stride: usize) -> Places {
+        Places::of_some_groups(&self.tree, stride)
+    }
+
     /// Number of points.
     pub fn len(&self) -> usize {
         self.tree.len()
@@ -149,7 +154,7 @@ impl NeighborIndex {
     /// # Errors
     /// [`Error::Cancelled`].
     pub fn spacings_m(&self, stride: usize, progress: &Progress<'_>) -> Result<Vec<f64>> {
-        let places = Places::of_some_groups(&self.tree, stride);
+        let places = self.some_places(stride);
         let fresh = || NearestElsewhere(Nearest::within(f64::INFINITY));
         let spacings = self.map_collected(&places, fresh, progress, |nearest| {
             nearest.0.found().map(|held| held.distance_sq.sqrt())
@@ -360,26 +365,9 @@ impl NeighborIndex {
         self.tree.ask_all(places, progress, scratch, begin, end)
     }
 
-    /// What `answer` makes of the points at most `radius_m` from each of `places` (in no particular
-    /// order, though always the same); in the order in which the places were given.
-    pub(crate) fn map_within<T: Copy + Send + Sync>(
-        &self,
-        places: &Places,
-        radius_m: f64,
-        progress: &Progress<'_>,
-        answer: impl Fn(&[Point]) -> T + Sync + Send,
-    ) -> Result<Vec<T>> {
-        self.tree.ask_all(
-            places,
-            progress,
-            || (Vec::new(), std::array::from_fn(|_| Within::default())),
-            |_, within, _| within.restart(radius_m),
-            |points, within, _| answer(self.points_at(&within.found, points)),
-        )
-    }
-
     /// What `answer` makes of the indices of the points at most `radius_m` from each of `places`, told also which
-    /// place it is; indices and results in the orders of [`NeighborIndex::map_within`].
+    /// place it is; the indices in no particular order, though always the same, the results in the order in which
+    /// the places were given.
     pub(crate) fn map_indices_within<T: Copy + Send + Sync>(
         &self,
         places: &Places,

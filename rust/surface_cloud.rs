@@ -42,7 +42,7 @@ impl SurfaceCloud {
         let about = |p: &Point| std::array::from_fn(|axis| p[axis] - middle[axis]);
         let index =
             NeighborIndex::renumbered(&cloud.points().iter().map(about).collect::<Vec<_>>());
-        let surfaces = normals::estimate(index.points(), &index, N_NORMAL_NEIGHBORS, progress)?;
+        let surfaces = normals::estimate_at_all(&index, N_NORMAL_NEIGHBORS, progress)?;
         let (low, high) = bounds(index.points());
         let mut order = Stream::new(seed, "order of points", 0);
         let drawn = order.sample_indices(cloud.len(), cloud.len());

@@ -152,7 +152,7 @@ fn mutual_matches(a: &[Descriptor], b: &[Descriptor]) -> Vec<(u32, u32)> {
 }
 
 /// Descriptors of one cloud that are compared in one piece of work.
-const PART: usize = 512;
+const PART: usize = 128;
 /// How similar the most similar one is, and which it is.
 type MostSimilar = (f32, u32);
 const NOBODY: MostSimilar = (f32::NEG_INFINITY, u32::MAX);
