@@ -148,9 +148,12 @@ pub fn estimate_at_all(
     Ok(surfaces)
 }
 
-/// How far the `k`-th nearest point lies, itself included, at half of some thousand points; 0 where there are none.
+/// A trifle farther than the `k`-th nearest point lies, itself included, at half of some thousand points; 0 where there
+/// are none.
 fn usual_reach_m(index: &NeighborIndex, k: usize, progress: &Progress<'_>) -> Result<f64> {
     const N_ASKED: usize = 1000;
+    /// No point should stand on the rim, where rounding decides whether it counts.
+    const BEYOND: f64 = 1.001;
     let places = index.some_places(index.len().div_ceil(N_ASKED));
     let reach_sq = |place: &Point, near: &[Point]| {
         near.iter()
@@ -162,10 +165,8 @@ fn usual_reach_m(index: &NeighborIndex, k: usize, progress: &Progress<'_>) -> Re
         return Ok(0.0);
     }
     let middle = reaches_sq.len() / 2;
-    Ok(reaches_sq
-        .select_nth_unstable_by(middle, f64::total_cmp)
-        .1
-        .sqrt())
+    let (_, middle_sq, _) = reaches_sq.select_nth_unstable_by(middle, f64::total_cmp);
+    Ok(BEYOND * middle_sq.sqrt())
 }
 
 /// The surface at each of `points` from the points of `index` within `radius_m` of it;
