@@ -29,8 +29,10 @@ pub(crate) const WITNESS_RADIUS: f64 = 0.035;
 /// Starts round a pose that is known.
 const N_NEAR_KNOWN: usize = 64;
 
-/// Rounds that cost little.
+/// Rounds that cost little, unless there are many places.
 const FEW_ROUNDS: usize = 2;
+/// From so many places on descriptors come first, and no round costs little.
+const MANY_PLACES: usize = 200;
 /// Early rounds look at this share of the poses of the others.
 const EARLY: usize = 4;
 /// After early rounds, which have met few rivals, the best pose must stand out by more, also from itself turned.
@@ -110,8 +112,6 @@ impl Round {
 /// Few starts find most poses. Where they do not, yaws cost less than descriptors, and these less than more
 /// starts of all that is free; among many places they cost less than any starts.
 fn rounds(options: &RobustSearchOptions, freedom: Freedom, n_places: usize) -> Vec<Round> {
-    /// From so many places on descriptors come first.
-    const MANY_PLACES: usize = 200;
     let counts = options.rotations_per_round.iter().enumerate();
     let mut rounds: Vec<Round> = counts
         .map(|(index, &n_rotations)| Round::Starts { index, n_rotations })
@@ -249,12 +249,17 @@ pub(crate) fn search_asking(
     let n_places = starts::n_places(&fixed.cloud, unit_m);
     let rounds = rounds(options, problem.freedom, n_places);
     let mut before_many = Some(before_many);
+    let n_before = if n_places >= MANY_PLACES {
+        0
+    } else {
+        FEW_ROUNDS
+    };
     let mut has_met_rivals = false;
     for (i, round) in rounds.iter().enumerate() {
         if stands_out || (n_rounds > 0 && deadline.is_over()) {
             break;
         }
-        if n_rounds == FEW_ROUNDS
+        if n_rounds == n_before
             && let Some(before_many) = before_many.take()
             && before_many()?.is_break()
         {
