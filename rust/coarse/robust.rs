@@ -165,19 +165,27 @@ pub fn search_robust(
     seed: u64,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
-    let goes_on = || Ok(ControlFlow::Continue(()));
+    let goes_on = |_| Ok(ControlFlow::Continue(()));
     search_asking(problem, options, enough, deadline, seed, goes_on, progress)
 }
 
-/// [`search_robust`], which asks after a few rounds, where more are needed: these cost most, and other
-/// clouds may be better searched. On a break it ends there.
+/// What a search asks about before it begins with it, as other clouds may be better searched.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Costly {
+    /// The first round, where there are many places.
+    FirstRound,
+    /// All rounds but a few.
+    ManyRounds,
+}
+
+/// [`search_robust`], which asks before what costs much. On a break it ends there.
 pub(crate) fn search_asking(
     problem: &Problem<'_>,
     options: &RobustSearchOptions,
     enough: StandingOut,
     deadline: Deadline,
     seed: u64,
-    before_many: impl FnOnce() -> Result<ControlFlow<()>>,
+    mut before: impl FnMut(Costly) -> Result<ControlFlow<()>>,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
     options.check()?;
@@ -248,20 +256,18 @@ pub(crate) fn search_asking(
     let mut given = vec![as_given, Rigid::identity()];
     let n_places = starts::n_places(&fixed.cloud, unit_m);
     let rounds = rounds(options, problem.freedom, n_places);
-    let mut before_many = Some(before_many);
-    let n_before = if n_places >= MANY_PLACES {
-        0
-    } else {
-        FEW_ROUNDS
-    };
     let mut has_met_rivals = false;
     for (i, round) in rounds.iter().enumerate() {
         if stands_out || (n_rounds > 0 && deadline.is_over()) {
             break;
         }
-        if n_rounds == n_before
-            && let Some(before_many) = before_many.take()
-            && before_many()?.is_break()
+        let next = match n_rounds {
+            0 if n_places >= MANY_PLACES => Some(Costly::FirstRound),
+            FEW_ROUNDS => Some(Costly::ManyRounds),
+            _ => None,
+        };
+        if let Some(next) = next
+            && before(next)?.is_break()
         {
             break;
         }
@@ -363,17 +369,60 @@ mod tests {
     use crate::cloud::{Cloud, Point};
     use crate::surface_cloud::SurfaceCloud;
 
+    /// A bumpy strip, 1 wide.
+    fn strip(length: f64, n: usize) -> SurfaceCloud {
+        let mut stream = Stream::new(1, "strip", n as u64);
+        let points: Vec<Point> = (0..n)
+            .map(|_| [length * stream.uniform(), stream.uniform()])
+            .map(|[x, y]| [x, y, 0.1 * (9.0 * x).sin() * (7.0 * y).cos()])
+            .collect();
+        SurfaceCloud::new(&Cloud::new(&points).unwrap(), 0, &Progress::silent()).unwrap()
+    }
+
+    #[test]
+    fn it_asks_before_what_costs_much() {
+        let silent = Progress::silent();
+        let asked_of = |lengths: [f64; 2], last: Costly| {
+            let clouds = lengths.map(|length| strip(length, (4000.0 * length) as usize));
+            let [source, target] = Witnesses::of_both(clouds, 500, 0.1, 0.01, &silent).unwrap();
+            let known = LocalObservations::default();
+            let problem = Problem {
+                source: &source,
+                target: &target,
+                unit_m: 1.4,
+                freedom: Freedom::Rigid,
+                known: &known,
+            };
+            // Nothing would be enough.
+            let enough = StandingOut {
+                inlier_share: 9.0,
+                ambiguity_ratio: 9.0,
+                share_times_ratio: 9.0,
+                misfit: 0.0,
+                conflict_share: 0.0,
+            };
+            let options = RobustSearchOptions::default();
+            let mut asked = Vec::new();
+            let before = |next| {
+                asked.push(next);
+                Ok(match next == last {
+                    true => ControlFlow::Break(()),
+                    false => ControlFlow::Continue(()),
+                })
+            };
+            let never = Deadline::after(None);
+            let found = search_asking(&problem, &options, enough, never, 1, before, &silent);
+            (asked, found.is_ok())
+        };
+        let (first, many) = (Costly::FirstRound, Costly::ManyRounds);
+        assert_eq!(asked_of([1.0, 1.2], many), (vec![many], true));
+        // Among many places nothing was looked at yet.
+        assert_eq!(asked_of([1.0, 16.0], first), (vec![first], false));
+        assert_eq!(asked_of([1.0, 16.0], many), (vec![first, many], true));
+    }
+
     #[test]
     fn what_shows_clearly_less_moves_else_what_has_fewer_points() {
-        /// A bumpy strip, 1 wide.
-        fn strip(length: f64, n: usize) -> SurfaceCloud {
-            let mut stream = Stream::new(1, "strip", n as u64);
-            let points: Vec<Point> = (0..n)
-                .map(|_| [length * stream.uniform(), stream.uniform()])
-                .map(|[x, y]| [x, y, 0.1 * (9.0 * x).sin() * (7.0 * y).cos()])
-                .collect();
-            SurfaceCloud::new(&Cloud::new(&points).unwrap(), 0, &Progress::silent()).unwrap()
-        }
         let moves = |source: SurfaceCloud, target: SurfaceCloud| {
             let clouds = [source, target];
             let [a, b] = Witnesses::of_both(clouds, 500, 0.1, 0.01, &Progress::silent()).unwrap();

@@ -14,6 +14,9 @@ use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
 use crate::voxel::downsample;
 
+/// Where 30 % of the points are strays, a quarter to a half of all voxels are.
+const MANY_STRAYS: f64 = 0.25;
+
 /// Two clouds as the search and the fine stage read them.
 #[derive(Debug)]
 pub(super) struct Prepared {
@@ -69,16 +72,28 @@ impl Prepared {
         )
     }
 
-    /// Whether many voxels of both clouds are those of strays.
+    /// Whether, on average over the two clouds, many voxels are those of strays.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`].
     pub(super) fn is_strewn(&self, progress: &Progress<'_>) -> Result<bool> {
-        /// Where 30 % of the points are strays, a quarter to a half of all voxels are.
-        const MANY: f64 = 0.25;
+        let [of_source, of_target] = self.shares_of_strays(progress)?;
+        Ok((of_source + of_target) / 2.0 > MANY_STRAYS)
+    }
+
+    /// Whether in each of the clouds many voxels are those of strays.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub(super) fn are_both_strewn(&self, progress: &Progress<'_>) -> Result<bool> {
+        let [of_source, of_target] = self.shares_of_strays(progress)?;
+        Ok(of_source.min(of_target) > MANY_STRAYS)
+    }
+
+    fn shares_of_strays(&self, progress: &Progress<'_>) -> Result<[f64; 2]> {
         let share = |of: &Witnesses| share_of_strays(&of.cloud, progress);
         let (of_source, of_target) = parallel::both(|| share(&self.source), || share(&self.target));
-        Ok((of_source? + of_target?) / 2.0 > MANY)
+        Ok([of_source?, of_target?])
     }
 
     /// Whether at `pose` the surfaces of the clouds lie on each other's strays, not on surfaces.

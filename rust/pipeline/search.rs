@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use super::prepare::Prepared;
 use crate::cloud::{Cloud, Point};
-use crate::coarse::{self, CoarseResult, Problem, StandingOut};
+use crate::coarse::{self, CoarseResult, Costly, Problem, StandingOut};
 use crate::config::{Config, Mode};
 use crate::deadline::Deadline;
 use crate::error::{Error, Result};
@@ -58,7 +58,7 @@ pub(super) fn search(
         return coarse::search_paper(&source, &target, &config.paper, config.seed, progress);
     }
     log.begin(Stage::Coarse, n_source, n_target)?;
-    let goes_on = || Ok(ControlFlow::Continue(()));
+    let goes_on = |_| Ok(ControlFlow::Continue(()));
     search_asking(prepared, config, deadline, goes_on, progress)
 }
 
@@ -80,8 +80,14 @@ pub(super) fn search_also_without_strays(
     let enough = enough(config);
     log.begin(Stage::Coarse, n_source, n_target)?;
     let mut without = None;
-    let look_without = || {
-        if !prepared.is_strewn(progress)? {
+    let look_without = |next| {
+        // Noise of one sensor alone may look like strays: that only a few rounds can tell.
+        let is_asked = without.is_none()
+            && match next {
+                Costly::FirstRound => prepared.are_both_strewn(progress)?,
+                Costly::ManyRounds => prepared.is_strewn(progress)?,
+            };
+        if !is_asked {
             return Ok(ControlFlow::Continue(()));
         }
         let other = search_without_strays(&prepared, given, config, deadline, log, progress)?;
@@ -143,7 +149,7 @@ fn search_asking(
     prepared: &Prepared,
     config: &Config,
     deadline: Deadline,
-    before_many: impl FnOnce() -> Result<ControlFlow<()>>,
+    before: impl FnMut(Costly) -> Result<ControlFlow<()>>,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
     let (angle_rad, shift_m) = (SLACK_RAD, SLACK * prepared.unit_m);
@@ -161,7 +167,7 @@ fn search_asking(
         enough(config),
         deadline,
         config.seed,
-        before_many,
+        before,
         progress,
     )
 }
