@@ -207,7 +207,7 @@ def test_settings_that_no_json_can_hold_are_named() -> None:
 # ---- the next release
 
 # How far the points of the known pair come to lie from where they belong, in the mean, and the overlap.
-MEAN_SHIFT, OVERLAP = np.array([0.00053, 0.00316, 0.00074]), 0.692
+MEAN_SHIFT, OVERLAP = np.array([0.00327, 0.00151, 0.00155]), 0.692
 
 
 def test_the_answer_is_the_one_of_the_last_release(clouds: tuple[Floats, Floats]) -> None:
