@@ -21,7 +21,7 @@ use std::sync::OnceLock;
 
 pub(crate) use blocks::{Block, WIDTH, sum_of_squares};
 use blocks::{Blocks, greater};
-pub(crate) use collect::Collector;
+pub(crate) use collect::{Collector, reach_of};
 use collect::{Count, Held, KNearest, Nearest, NearestElsewhere, Within};
 pub(crate) use follow::Follower;
 use general::General;

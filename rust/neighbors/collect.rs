@@ -358,7 +358,7 @@ impl Within {
 
 /// The square of a radius; a negative one reaches nothing, an infinite one not what is no point.
 #[inline]
-fn reach_of(radius_m: f64) -> f64 {
+pub(crate) fn reach_of(radius_m: f64) -> f64 {
     (radius_m * radius_m.abs()).min(f64::MAX)
 }
 

@@ -1,11 +1,11 @@
 //! Sums over the points near a place, from which the plane through them follows.
 //!
-//! Why: summed while the tree is searched, eight points by the same few vector instructions, they cost a third of
+//! Why: summed while the tree is searched, eight points by the same few vector instructions, they cost half of
 //! holding the points and going through them afterwards.
 
 use super::{LEAST_POINTS, Surface, Symmetric};
 use crate::cloud::Point;
-use crate::neighbors::{Block, Collector, WIDTH, sum_of_squares};
+use crate::neighbors::{Block, Collector, WIDTH, reach_of, sum_of_squares};
 
 /// Sums side by side, one vector of any processor.
 const LANES: usize = 2;
@@ -26,7 +26,7 @@ pub(super) struct Moments {
 impl Moments {
     pub(super) fn within(radius_m: f64) -> Self {
         Self {
-            radius_sq: (radius_m * radius_m).min(f64::MAX),
+            radius_sq: reach_of(radius_m),
             n: [0.0; LANES],
             offsets: [[0.0; LANES]; 3],
             squares: [[0.0; LANES]; 3],

@@ -1,5 +1,7 @@
 //! Two clouds made comparable: one voxel for both, surfaces, and witnesses.
 
+use std::sync::OnceLock;
+
 use super::VOXELS_PER_EXTENT;
 use super::strays::{share_of_strays, surfaces_on_surfaces, without_strays};
 use crate::cloud::{Cloud, MIN_POINTS, Point};
@@ -29,6 +31,8 @@ pub(super) struct Prepared {
     /// The extent of the smaller cloud, which every derived length is a share of.
     pub(super) unit_m: f64,
     pub(super) voxel_size_m: f64,
+    /// Of source and target, once somebody asks.
+    shares_of_strays: OnceLock<[f64; 2]>,
 }
 
 impl Prepared {
@@ -91,9 +95,13 @@ impl Prepared {
     }
 
     fn shares_of_strays(&self, progress: &Progress<'_>) -> Result<[f64; 2]> {
+        if let Some(shares) = self.shares_of_strays.get() {
+            return Ok(*shares);
+        }
         let share = |of: &Witnesses| share_of_strays(&of.cloud, progress);
         let (of_source, of_target) = parallel::both(|| share(&self.source), || share(&self.target));
-        Ok([of_source?, of_target?])
+        let shares = [of_source?, of_target?];
+        Ok(*self.shares_of_strays.get_or_init(|| shares))
     }
 
     /// Whether at `pose` the surfaces of the clouds lie on each other's strays, not on surfaces.
@@ -106,11 +114,13 @@ impl Prepared {
         max_distance_m: f64,
         progress: &Progress<'_>,
     ) -> Result<bool> {
-        let (source, target) = (&self.source.cloud, &self.target.cloud);
+        let [of_source, of_target] = self.shares_of_strays(progress)?;
+        let source = (&self.source.cloud, of_source);
+        let target = (&self.target.cloud, of_target);
         let (back, back_m) = (pose.inverse(), max_distance_m / pose.scale);
         let (forth, back) = parallel::both(
-            || surfaces_on_surfaces(source, target, pose, max_distance_m, progress),
-            || surfaces_on_surfaces(target, source, &back, back_m, progress),
+            || surfaces_on_surfaces(source.0, target, pose, max_distance_m, progress),
+            || surfaces_on_surfaces(target.0, source, &back, back_m, progress),
         );
         Ok((forth? + back?) / 2.0 < 1.0)
     }
@@ -169,6 +179,7 @@ impl Prepared {
             target,
             unit_m,
             voxel_size_m,
+            shares_of_strays: OnceLock::new(),
         })
     }
 

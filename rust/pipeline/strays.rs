@@ -72,14 +72,14 @@ fn lie_on_surface(
 }
 
 /// How often the partner of a point on a surface of `from`, its nearest of `to` and at most so far away, lies on a
-/// surface as well, by how often any point of `to` does, by samples: above 1 where surfaces lie on surfaces, below where
+/// surface as well, by how often any point of `to` does, of which that share are strays, by samples: above 1 where surfaces lie on surfaces, below where
 /// they lie on strays. NaN where no point on a surface has a partner, or no point of `to` lies on a surface.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`].
 pub(super) fn surfaces_on_surfaces(
     from: &SurfaceCloud,
-    to: &SurfaceCloud,
+    (to, share_of_strays): (&SurfaceCloud, f64),
     to_from: &Similarity,
     max_distance_m: f64,
     progress: &Progress<'_>,
@@ -100,8 +100,7 @@ pub(super) fn surfaces_on_surfaces(
     let of_surfaces = own.iter().zip(&theirs).filter(|(own, _)| **own);
     let n_surfaces = of_surfaces.clone().count();
     let n_on_surfaces = of_surfaces.filter(|(_, theirs)| **theirs).count();
-    let of_any = 1.0 - share_of_strays(to, progress)?;
-    Ok(n_on_surfaces as f64 / n_surfaces as f64 / of_any)
+    Ok(n_on_surfaces as f64 / n_surfaces as f64 / (1.0 - share_of_strays))
 }
 
 /// The voxels round which many points stand.
@@ -301,10 +300,12 @@ mod tests {
             SurfaceCloud::new(&Cloud::new(&points).unwrap(), seed, &Progress::silent()).unwrap()
         };
         let (from, to) = (hill(1, 5.0), hill(2, -5.0));
+        let silent = Progress::silent();
+        let to = (&to, share_of_strays(&to, &silent).unwrap());
         let at = |height: f64| {
             let pose = Rigid::from_euler([0.0; 3], [0.0, 0.0, height]);
-            let pose = pose.between_local_coordinates(from.origin, to.origin);
-            surfaces_on_surfaces(&from, &to, &pose.into(), 1.0, &Progress::silent()).unwrap()
+            let pose = pose.between_local_coordinates(from.origin, to.0.origin);
+            surfaces_on_surfaces(&from, to, &pose.into(), 1.0, &silent).unwrap()
         };
         assert!(at(0.0) > 1.1, "{}", at(0.0));
         // There the hills lie 4 apart, and all strays but the outermost on strays.
