@@ -158,8 +158,8 @@ fn fitness(criterion: &mut Criterion) {
         bench("fitness/agreement", &mut || {
             let tolerance = Tolerance::within(REACH_M);
             black_box(fitness::agreement(
-                (&moving, &moving.cloud.index),
-                (&fixed, &fixed.cloud.index),
+                (&moving, &*moving.cloud.index),
+                (&fixed, &*fixed.cloud.index),
                 &scene.nearly.into(),
                 tolerance,
             ));

@@ -75,17 +75,19 @@ impl NeighborIndex {
     }
 
     /// The same, with the points numbered anew: in the order of the tree, in which those that follow each other lie
-    /// side by side.
-    pub fn renumbered(points: &[Point]) -> Self {
+    /// side by side. And the numbers that they had.
+    pub fn renumbered(points: &[Point]) -> (Self, Vec<u32>) {
         let mut entries = sort::into_blocks(points);
+        let numbers = entries.iter().map(|entry| entry.index).collect();
         for (entry, index) in entries.iter_mut().zip(0..) {
             entry.index = index;
         }
-        Self {
+        let index = Self {
             tree: Blocks::new(&entries),
             points: parallel::map(entries.len(), |i| entries[i].point).into(),
             general: OnceLock::new(),
-        }
+        };
+        (index, numbers)
     }
 
     /// The points, in the order given.

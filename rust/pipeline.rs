@@ -8,9 +8,11 @@ mod fine;
 mod prepare;
 mod search;
 mod strays;
+mod thin;
 
 use fine::{Fine, brought_to_rest, brought_to_rest_without_strays, rests_on_strays};
 use prepare::{Prepared, cropped};
+use thin::Thinned;
 
 pub use apart::{Evaluation, evaluate, fuse_clouds};
 
@@ -117,11 +119,9 @@ fn route(
     };
     for scale in scales {
         log.begin(Stage::Voxel, source_cleaned.len(), target_cleaned.len())?;
-        let prepared = Prepared::new(&source_cleaned, &target_cleaned, scale, &config, progress)?;
-        log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
+        let thinned = Thinned::new(&source_cleaned, &target_cleaned, scale, &config, progress)?;
         let found = search::search_also_without_strays(
-            prepared,
-            [&source_cleaned, &target_cleaned],
+            thinned,
             &search_config,
             deadline,
             &mut log,
@@ -175,7 +175,7 @@ fn route(
         log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
         coarse_pose = prepared.pose_from_given(&pose);
     }
-    let voxel_size_m = prepared.voxel_size_m;
+    let voxel_size_m = prepared.thinned.voxel_size_m;
     let max_distance_m = config
         .icp
         .max_distance_m
@@ -195,7 +195,6 @@ fn route(
         let without = brought_to_rest_without_strays(
             &prepared,
             &fine,
-            clouds,
             max_distance_m,
             &config,
             &mut log,
@@ -212,7 +211,11 @@ fn route(
     if rests_on_strays {
         let (n_source, n_target) = (prepared.source.cloud.len(), prepared.target.cloud.len());
         match search::search_without_strays(
-            &prepared, clouds, &config, deadline, &mut log, progress,
+            &prepared.thinned,
+            &config,
+            deadline,
+            &mut log,
+            progress,
         )? {
             Some((cleaned, again)) => {
                 (prepared, found) = (cleaned, again);
@@ -260,7 +263,7 @@ fn route(
             conflict_share: agreed.conflict_share,
             net_share: agreed.net_share(),
             surface_offset_m: fine.surface_offset_m,
-            extent_m: prepared.unit_m,
+            extent_m: prepared.thinned.unit_m,
             deviation_from_known: match known.n_observed() {
                 0 => f64::NAN,
                 n => (known.chi_squared(&pose) / n as f64).sqrt(),
@@ -330,7 +333,7 @@ fn route(
         conflict_share: agreed.conflict_share,
         net_share: agreed.net_share(),
         surface_offset_m: fine.surface_offset_m,
-        extent_m: prepared.unit_m,
+        extent_m: prepared.thinned.unit_m,
         ended_early: found.ended_early,
         uncertainty: fine.uncertainty,
         n_evaluations: found.n_evaluations,

@@ -1,5 +1,7 @@
 //! A cloud with everything that comparing it to another one needs, built once and shared.
 
+use std::sync::Arc;
+
 use crate::cloud::{Cloud, Point, bounds, centroid};
 use crate::error::Result;
 use crate::neighbors::NeighborIndex;
@@ -12,10 +14,34 @@ use crate::random::Stream;
 /// enough not to round off the edges on which registration rests.
 pub(crate) const N_NORMAL_NEIGHBORS: usize = 16;
 
-/// Points about their centroid, the surface at each of them, their neighbours.
+/// Points about their centroid, and their neighbours.
 ///
 /// The points are numbered so that those that follow each other lie side by side: whoever goes through them
-/// finds in the cache what he needs. Samples are drawn in an order of their own.
+/// finds in the cache what he needs.
+#[derive(Debug, Clone)]
+pub struct IndexedCloud {
+    /// The centroid, in the coordinates given.
+    pub origin: Point,
+    /// Neighbours; also holds the points.
+    pub index: Arc<NeighborIndex>,
+}
+
+impl IndexedCloud {
+    /// Indexes the points of `cloud`. With the number that each of them had there.
+    pub fn new(cloud: &Cloud) -> (Self, Vec<u32>) {
+        let middle = centroid(cloud.points());
+        let about = |p: &Point| std::array::from_fn(|axis| p[axis] - middle[axis]);
+        let points: Vec<Point> = cloud.points().iter().map(about).collect();
+        let (index, numbers) = NeighborIndex::renumbered(&points);
+        let indexed = Self {
+            origin: std::array::from_fn(|axis| cloud.origin()[axis] + middle[axis]),
+            index: Arc::new(index),
+        };
+        (indexed, numbers)
+    }
+}
+
+/// The same with the surface at each point. Samples are drawn in an order of their own.
 #[derive(Debug)]
 pub struct SurfaceCloud {
     /// The centroid, in the coordinates given.
@@ -23,7 +49,7 @@ pub struct SurfaceCloud {
     /// Normal and curvature at each point.
     pub surfaces: Vec<Surface>,
     /// Neighbours; also holds the points.
-    pub index: NeighborIndex,
+    pub index: Arc<NeighborIndex>,
     /// The numbers of all points at random.
     drawn: Vec<u32>,
     /// When each point was drawn.
@@ -38,21 +64,26 @@ impl SurfaceCloud {
     /// # Errors
     /// [`crate::Error::Cancelled`].
     pub fn new(cloud: &Cloud, seed: u64, progress: &Progress<'_>) -> Result<Self> {
-        let middle = centroid(cloud.points());
-        let about = |p: &Point| std::array::from_fn(|axis| p[axis] - middle[axis]);
-        let index =
-            NeighborIndex::renumbered(&cloud.points().iter().map(about).collect::<Vec<_>>());
+        Self::of(IndexedCloud::new(cloud).0, seed, progress)
+    }
+
+    /// The same of points that are indexed.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub fn of(indexed: IndexedCloud, seed: u64, progress: &Progress<'_>) -> Result<Self> {
+        let IndexedCloud { origin, index } = indexed;
         let surfaces = normals::estimate_at_all(&index, N_NORMAL_NEIGHBORS, progress)?;
         let (low, high) = bounds(index.points());
         let mut order = Stream::new(seed, "order of points", 0);
-        let drawn = order.sample_indices(cloud.len(), cloud.len());
+        let drawn = order.sample_indices(index.len(), index.len());
         let drawn: Vec<u32> = drawn.into_iter().map(|i| i as u32).collect();
         let mut turns = vec![0; drawn.len()];
         for (i, turn) in drawn.iter().zip(0..) {
             turns[*i as usize] = turn;
         }
         Ok(Self {
-            origin: std::array::from_fn(|axis| cloud.origin()[axis] + middle[axis]),
+            origin,
             surfaces,
             index,
             drawn,
@@ -70,7 +101,7 @@ impl SurfaceCloud {
         Self {
             origin: self.origin,
             surfaces: self.surfaces.iter().map(Surface::mirrored).collect(),
-            index: NeighborIndex::new(&points),
+            index: Arc::new(NeighborIndex::new(&points)),
             drawn: self.drawn.clone(),
             turns: self.turns.clone(),
             low,

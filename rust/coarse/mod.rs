@@ -18,7 +18,7 @@ mod verify;
 
 pub use options::RobustSearchOptions;
 pub use paper::{PaperBox, PaperSearchOptions, search_paper};
-pub(crate) use robust::{Costly, N_WITNESSES, WITNESS_RADIUS, search_asking};
+pub(crate) use robust::{N_WITNESSES, WITNESS_RADIUS, has_many_places, search_asking};
 pub use robust::{Problem, StandingOut, search_robust};
 
 use crate::error::Error;

@@ -13,6 +13,7 @@ use super::hypotheses;
 use super::starts::{self, Starts};
 use super::verify::{Knowledge, Verifier};
 use super::{Candidate, CoarseResult, RobustSearchOptions};
+use crate::cloud::Point;
 use crate::deadline::Deadline;
 use crate::error::{Error, Result, require_positive};
 use crate::fitness::{Agreement, Witnesses};
@@ -165,27 +166,27 @@ pub fn search_robust(
     seed: u64,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
-    let goes_on = |_| Ok(ControlFlow::Continue(()));
+    let goes_on = || Ok(ControlFlow::Continue(()));
     search_asking(problem, options, enough, deadline, seed, goes_on, progress)
 }
 
-/// What a search asks about before it begins with it, as other clouds may be better searched.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Costly {
-    /// The first round, where there are many places.
-    FirstRound,
-    /// All rounds but a few.
-    ManyRounds,
+/// Whether the search in a cloud of these points, sorted so that those that follow each other lie side by side, is long
+/// from the first round on: there are many places where the other may belong.
+pub(crate) fn has_many_places(sorted: &[Point], unit_m: f64) -> bool {
+    let stride = sorted.len().div_ceil(starts::N_TO_TELL_PLACES).max(1);
+    let some: Vec<Point> = sorted.iter().step_by(stride).copied().collect();
+    starts::n_places(&some, unit_m) >= MANY_PLACES
 }
 
-/// [`search_robust`], which asks before what costs much. On a break it ends there.
+/// [`search_robust`], which asks after a few rounds whether to go on, as other clouds may be better searched.
+/// On a break it ends there.
 pub(crate) fn search_asking(
     problem: &Problem<'_>,
     options: &RobustSearchOptions,
     enough: StandingOut,
     deadline: Deadline,
     seed: u64,
-    mut before: impl FnMut(Costly) -> Result<ControlFlow<()>>,
+    mut goes_on: impl FnMut() -> Result<ControlFlow<()>>,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
     options.check()?;
@@ -254,21 +255,14 @@ pub(crate) fn search_asking(
     let as_given =
         Rigid::identity().between_local_coordinates(moving.cloud.origin, fixed.cloud.origin);
     let mut given = vec![as_given, Rigid::identity()];
-    let n_places = starts::n_places(&fixed.cloud, unit_m);
+    let n_places = starts::n_places(&starts::sample(&fixed.cloud), unit_m);
     let rounds = rounds(options, problem.freedom, n_places);
     let mut has_met_rivals = false;
     for (i, round) in rounds.iter().enumerate() {
         if stands_out || (n_rounds > 0 && deadline.is_over()) {
             break;
         }
-        let next = match n_rounds {
-            0 if n_places >= MANY_PLACES => Some(Costly::FirstRound),
-            FEW_ROUNDS => Some(Costly::ManyRounds),
-            _ => None,
-        };
-        if let Some(next) = next
-            && before(next)?.is_break()
-        {
+        if n_rounds == FEW_ROUNDS && goes_on()?.is_break() {
             break;
         }
         n_rounds += 1;
@@ -380,45 +374,47 @@ mod tests {
     }
 
     #[test]
-    fn it_asks_before_what_costs_much() {
+    fn it_asks_once_after_a_few_rounds_and_keeps_what_it_found() {
         let silent = Progress::silent();
-        let asked_of = |lengths: [f64; 2], last: Costly| {
-            let clouds = lengths.map(|length| strip(length, (4000.0 * length) as usize));
-            let [source, target] = Witnesses::of_both(clouds, 500, 0.1, 0.01, &silent).unwrap();
-            let known = LocalObservations::default();
-            let problem = Problem {
-                source: &source,
-                target: &target,
-                unit_m: 1.4,
-                freedom: Freedom::Rigid,
-                known: &known,
-            };
-            // Nothing would be enough.
-            let enough = StandingOut {
-                inlier_share: 9.0,
-                ambiguity_ratio: 9.0,
-                share_times_ratio: 9.0,
-                misfit: 0.0,
-                conflict_share: 0.0,
-            };
-            let options = RobustSearchOptions::default();
-            let mut asked = Vec::new();
-            let before = |next| {
-                asked.push(next);
-                Ok(match next == last {
-                    true => ControlFlow::Break(()),
-                    false => ControlFlow::Continue(()),
-                })
+        let clouds = [1.0, 1.2].map(|length| strip(length, (4000.0 * length) as usize));
+        let [source, target] = Witnesses::of_both(clouds, 500, 0.1, 0.01, &silent).unwrap();
+        let known = LocalObservations::default();
+        let problem = Problem {
+            source: &source,
+            target: &target,
+            unit_m: 1.4,
+            freedom: Freedom::Rigid,
+            known: &known,
+        };
+        // Nothing would be enough.
+        let enough = StandingOut {
+            inlier_share: 9.0,
+            ambiguity_ratio: 9.0,
+            share_times_ratio: 9.0,
+            misfit: 0.0,
+            conflict_share: 0.0,
+        };
+        let options = RobustSearchOptions::default();
+        let found = |answer: ControlFlow<()>| {
+            let mut n_asked = 0;
+            let goes_on = || {
+                n_asked += 1;
+                Ok(answer)
             };
             let never = Deadline::after(None);
-            let found = search_asking(&problem, &options, enough, never, 1, before, &silent);
-            (asked, found.is_ok())
+            let found = search_asking(&problem, &options, enough, never, 1, goes_on, &silent);
+            (n_asked, found.unwrap().n_evaluations)
         };
-        let (first, many) = (Costly::FirstRound, Costly::ManyRounds);
-        assert_eq!(asked_of([1.0, 1.2], many), (vec![many], true));
-        // Among many places nothing was looked at yet.
-        assert_eq!(asked_of([1.0, 16.0], first), (vec![first], false));
-        assert_eq!(asked_of([1.0, 16.0], many), (vec![first, many], true));
+        let (n_of_few, few) = found(ControlFlow::Break(()));
+        let (n_of_all, all) = found(ControlFlow::Continue(()));
+        assert_eq!((n_of_few, n_of_all), (1, 1));
+        assert!(few > 0 && 2 * few < all);
+    }
+
+    #[test]
+    fn a_cloud_of_many_times_the_other_has_many_places() {
+        let has_many = |length| has_many_places(strip(length, 20_000).points(), 1.4);
+        assert!(!has_many(1.2) && has_many(16.0));
     }
 
     #[test]

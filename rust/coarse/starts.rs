@@ -34,16 +34,17 @@ pub(super) struct Starts {
     seed: u64,
 }
 
+/// So many points of the fixed cloud tell its places; more would only cost.
+pub(super) const N_TO_TELL_PLACES: usize = 4000;
+
 /// Points of the fixed cloud from which places are derived.
-fn sample(fixed: &SurfaceCloud) -> Vec<Point> {
-    /// More would only cost.
-    const MOST: usize = 4000;
-    fixed.points_of(&fixed.drawn_in_order(MOST))
+pub(super) fn sample(fixed: &SurfaceCloud) -> Vec<Point> {
+    fixed.points_of(&fixed.drawn_in_order(N_TO_TELL_PLACES))
 }
 
-/// How many places of the fixed cloud the first rounds start at.
-pub(super) fn n_places(fixed: &SurfaceCloud, unit_m: f64) -> usize {
-    anchors(&sample(fixed), PITCH[0] * unit_m, REACH * unit_m).len()
+/// How many places the first rounds start at in a fixed cloud of which some points are given.
+pub(super) fn n_places(some: &[Point], unit_m: f64) -> usize {
+    anchors(some, PITCH[0] * unit_m, REACH * unit_m).len()
 }
 
 impl Starts {
@@ -338,7 +339,7 @@ mod tests {
         let (unit_m, n_rotations) = (20.0, 10);
         let all = Starts::new(&slope, unit_m, Freedom::Rigid, (0, n_rotations), 1);
         let few = Starts::few(&slope, unit_m, Freedom::Rigid, n_rotations, 1);
-        let n_places = n_places(&slope, unit_m);
+        let n_places = n_places(&sample(&slope), unit_m);
         assert_eq!(all.len(), n_rotations * n_places);
         assert_eq!(few.len(), n_rotations * n_places.div_ceil(FEW));
         // The same places, though each start lies elsewhere.

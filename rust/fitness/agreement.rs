@@ -321,7 +321,7 @@ mod tests {
     }
 
     fn agree(a: &Witnesses, b: &Witnesses, pose: &Rigid, tolerance: Tolerance) -> Agreement {
-        let (a, b) = ((a, &a.cloud.index), (b, &b.cloud.index));
+        let (a, b) = ((a, &*a.cloud.index), (b, &*b.cloud.index));
         agreement(a, b, &pose.into(), tolerance)
     }
 
@@ -398,7 +398,7 @@ mod tests {
         let (low, high) = (floor(0.0, 1), floor(0.0, 2));
         let pose = Rigid::identity().between_local_coordinates(high.origin, low.origin);
         let [a, b] = witnesses([high, low], 4000, 0.05, 0.016);
-        let noise_m = off_plane_noise_m(&a, (&b, &b.cloud.index), &pose.into(), 0.05);
+        let noise_m = off_plane_noise_m(&a, (&b, &*b.cloud.index), &pose.into(), 0.05);
         // Two samplings of 2 mm each, and the noise of the normals over the step to the partner.
         assert!((0.006..0.015).contains(&noise_m), "{noise_m}");
         let tolerance = Tolerance {
@@ -411,7 +411,7 @@ mod tests {
         };
         let here = agree(&a, &b, &pose, tolerance);
         let there = agree(&a, &b, &lifted, tolerance);
-        let (a_tree, b_tree) = ((&a, &a.cloud.index), (&b, &b.cloud.index));
+        let (a_tree, b_tree) = ((&a, &*a.cloud.index), (&b, &*b.cloud.index));
         let alone = weighted_share(a_tree, b_tree, &lifted.into(), tolerance);
         assert_eq!(alone, there.weighted_share);
         assert!(

@@ -62,7 +62,7 @@ pub(super) fn doubts(
     if fits(
         &prepared.source.mirrored(),
         &prepared.target,
-        prepared.unit_m,
+        prepared.thinned.unit_m,
     )? {
         found.push(
             "the source fits well when mirrored: two axes are swapped, or one has the wrong sign"
@@ -77,7 +77,7 @@ pub(super) fn doubts(
             continue;
         }
         let scaled = Prepared::new(source, target, scale, &brief, &quiet)?;
-        if fits(&scaled.source, &scaled.target, scaled.unit_m)? {
+        if fits(&scaled.source, &scaled.target, scaled.thinned.unit_m)? {
             found.push(format!(
                 "the source {words}: in the other unit it fits well"
             ));

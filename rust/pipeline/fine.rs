@@ -1,8 +1,7 @@
 //! The fine stage of the route: the pose brought to rest by ICP, and how the clouds agree there.
 
 use super::prepare::Prepared;
-use super::search::may_have_strays;
-use crate::cloud::Cloud;
+use super::search::{may_have_strays, without_strays};
 use crate::config::{Config, Mode};
 use crate::error::Result;
 use crate::fitness::{self, Agreement, Support, Tolerance, agreement};
@@ -37,7 +36,8 @@ impl Fine {
     /// Whether even surfaces lie farther apart than the verdict accepts.
     pub(super) fn lies_apart(&self, prepared: &Prepared, config: &Config) -> bool {
         let conflict_share = self.agreed.conflict_share;
-        self.surface_offset_m > prepared.unit_m * config.verdict.most_surface_offset(conflict_share)
+        self.surface_offset_m
+            > prepared.thinned.unit_m * config.verdict.most_surface_offset(conflict_share)
     }
 }
 
@@ -60,8 +60,8 @@ pub(super) fn brought_to_rest(
     let tolerance = Tolerance::within(max_distance_m);
     let agreed = |pose: &Similarity| {
         agreement(
-            (&prepared.source, &source.index),
-            (&prepared.target, &target.index),
+            (&prepared.source, &*source.index),
+            (&prepared.target, &*target.index),
             pose,
             tolerance,
         )
@@ -77,7 +77,8 @@ pub(super) fn brought_to_rest(
         true => (icp.target_from_source, after, icp.uncertainty.take()),
         false => (*coarse_pose, before, None),
     };
-    let offset_m = || fitness::surface_offset_m(source, target, &pose, prepared.unit_m, progress);
+    let offset_m =
+        || fitness::surface_offset_m(source, target, &pose, prepared.thinned.unit_m, progress);
     let ((forth, back), (surface_offset_m, held_out_ratio)) = parallel::both(
         || supports([source, target], &pose, max_distance_m, progress),
         || parallel::both(offset_m, || held_out_ratio(prepared, &pose, max_distance_m)),
@@ -98,7 +99,6 @@ pub(super) fn brought_to_rest(
 pub(super) fn brought_to_rest_without_strays(
     prepared: &Prepared,
     fine: &Fine,
-    [source, target]: [&Cloud; 2],
     max_distance_m: f64,
     config: &Config,
     log: &mut StageLog<'_>,
@@ -106,16 +106,12 @@ pub(super) fn brought_to_rest_without_strays(
 ) -> Result<Option<(Prepared, Fine)>> {
     /// A part of the noise goes with the strays, so a little less proves nothing.
     const LEFT: f64 = 0.5;
-    if !may_have_strays(config) || !prepared.is_strewn(progress)? {
+    if !may_have_strays(config) || !prepared.thinned.is_strewn(progress)? {
         return Ok(None);
     }
     log.keep();
-    log.begin(Stage::Voxel, source.len(), target.len())?;
-    let cleaned = prepared.without_strays(source, target, config, progress)?;
-    let counted = cleaned.as_ref().unwrap_or(prepared);
-    let (n_source, n_target) = (counted.source.cloud.len(), counted.target.cloud.len());
-    log.end(n_source, n_target);
-    let Some(cleaned) = cleaned else {
+    let Some(cleaned) = without_strays(&prepared.thinned, config, log, progress)? else {
+        let (n_source, n_target) = (prepared.source.cloud.len(), prepared.target.cloud.len());
         log.begin(Stage::Verdict, n_source, n_target)?;
         return Ok(None);
     };
@@ -136,7 +132,7 @@ pub(super) fn rests_on_strays(
 ) -> Result<bool> {
     Ok(fine.surface_offset_m.is_nan()
         && may_have_strays(config)
-        && prepared.is_strewn(progress)?
+        && prepared.thinned.is_strewn(progress)?
         && prepared.lies_on_strays(&fine.pose, max_distance_m, progress)?)
 }
 
@@ -157,7 +153,7 @@ fn refine(
         Mode::Robust => {
             let mut fitted = source.drawn_in_order(n_fitted(source.len()));
             let reach_m = config.icp.max_distance_m.unwrap_or(f64::INFINITY);
-            let margin_m = reach_m + MOST_MOVED * prepared.unit_m;
+            let margin_m = reach_m + MOST_MOVED * prepared.thinned.unit_m;
             let is_near = |i: &u32| {
                 let moved = coarse_pose.apply(&source.points()[*i as usize]);
                 target.is_near_box(&moved, margin_m)

@@ -1,9 +1,7 @@
-//! Two clouds made comparable: one voxel for both, surfaces, and witnesses.
+//! Two thinned clouds made comparable: surfaces, and witnesses.
 
-use std::sync::OnceLock;
-
-use super::VOXELS_PER_EXTENT;
-use super::strays::{share_of_strays, surfaces_on_surfaces, without_strays};
+use super::strays::surfaces_on_surfaces;
+use super::thin::{Thinned, Voxels};
 use crate::cloud::{Cloud, MIN_POINTS, Point};
 use crate::coarse;
 use crate::config::Config;
@@ -14,25 +12,13 @@ use crate::parallel;
 use crate::progress::Progress;
 use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
-use crate::voxel::downsample;
-
-/// Where 30 % of the points are strays, a quarter to a half of all voxels are.
-const MANY_STRAYS: f64 = 0.25;
 
 /// Two clouds as the search and the fine stage read them.
 #[derive(Debug)]
 pub(super) struct Prepared {
-    /// By which the source was multiplied beforehand.
-    pub(super) source_scale: f64,
-    pub(super) source_voxels: Cloud,
-    pub(super) target_voxels: Cloud,
+    pub(super) thinned: Thinned,
     pub(super) source: Witnesses,
     pub(super) target: Witnesses,
-    /// The extent of the smaller cloud, which every derived length is a share of.
-    pub(super) unit_m: f64,
-    pub(super) voxel_size_m: f64,
-    /// Of source and target, once somebody asks.
-    shares_of_strays: OnceLock<[f64; 2]>,
 }
 
 impl Prepared {
@@ -44,64 +30,30 @@ impl Prepared {
         config: &Config,
         progress: &Progress<'_>,
     ) -> Result<Self> {
-        let scaled;
-        let source = match source_scale {
-            1.0 => source,
-            _ => {
-                scaled = grown(source, source_scale);
-                &scaled
-            }
-        };
-        let unit_m = extent_of_smaller(source, target)?;
-        let voxel_size_m = match config.voxel.voxel_size_m {
-            Some(asked_m) if asked_m > unit_m => {
-                return Err(Error::argument(
-                    "voxel.voxel_size_m",
-                    format!(
-                        "must not exceed the extent of the smaller cloud, {unit_m:.3e}, got {asked_m}"
-                    ),
-                ));
-            }
-            asked_m => asked_m.unwrap_or(unit_m / VOXELS_PER_EXTENT),
-        };
-        let thinned = |cloud: &Cloud| downsample(cloud, voxel_size_m, progress);
-        let (of_source, of_target) = parallel::both(|| thinned(source), || thinned(target));
-        let voxels = [of_source?.cloud, of_target?.cloud];
-        Self::of_voxels(
-            voxels,
-            source_scale,
-            (unit_m, voxel_size_m),
-            config,
+        let thinned = Thinned::new(source, target, source_scale, config, progress)?;
+        Self::of(thinned, config, progress)
+    }
+
+    /// Looks at the surfaces of thinned clouds.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub(super) fn of(thinned: Thinned, config: &Config, progress: &Progress<'_>) -> Result<Self> {
+        let surfaces = |of: &Voxels| SurfaceCloud::of(of.indexed.clone(), config.seed, progress);
+        let (of_source, of_target) =
+            parallel::both(|| surfaces(&thinned.source), || surfaces(&thinned.target));
+        let [source, target] = Witnesses::of_both(
+            [of_source?, of_target?],
+            coarse::N_WITNESSES,
+            coarse::WITNESS_RADIUS * thinned.unit_m,
+            thinned.voxel_size_m,
             progress,
-        )
-    }
-
-    /// Whether, on average over the two clouds, many voxels are those of strays.
-    ///
-    /// # Errors
-    /// [`crate::Error::Cancelled`].
-    pub(super) fn is_strewn(&self, progress: &Progress<'_>) -> Result<bool> {
-        let [of_source, of_target] = self.shares_of_strays(progress)?;
-        Ok((of_source + of_target) / 2.0 > MANY_STRAYS)
-    }
-
-    /// Whether in each of the clouds many voxels are those of strays.
-    ///
-    /// # Errors
-    /// [`crate::Error::Cancelled`].
-    pub(super) fn are_both_strewn(&self, progress: &Progress<'_>) -> Result<bool> {
-        let [of_source, of_target] = self.shares_of_strays(progress)?;
-        Ok(of_source.min(of_target) > MANY_STRAYS)
-    }
-
-    fn shares_of_strays(&self, progress: &Progress<'_>) -> Result<[f64; 2]> {
-        if let Some(shares) = self.shares_of_strays.get() {
-            return Ok(*shares);
-        }
-        let share = |of: &Witnesses| share_of_strays(&of.cloud, progress);
-        let (of_source, of_target) = parallel::both(|| share(&self.source), || share(&self.target));
-        let shares = [of_source?, of_target?];
-        Ok(*self.shares_of_strays.get_or_init(|| shares))
+        )?;
+        Ok(Self {
+            thinned,
+            source,
+            target,
+        })
     }
 
     /// Whether at `pose` the surfaces of the clouds lie on each other's strays, not on surfaces.
@@ -114,7 +66,7 @@ impl Prepared {
         max_distance_m: f64,
         progress: &Progress<'_>,
     ) -> Result<bool> {
-        let [of_source, of_target] = self.shares_of_strays(progress)?;
+        let [of_source, of_target] = self.thinned.shares_of_strays(progress)?;
         let source = (&self.source.cloud, of_source);
         let target = (&self.target.cloud, of_target);
         let (back, back_m) = (pose.inverse(), max_distance_m / pose.scale);
@@ -125,79 +77,21 @@ impl Prepared {
         Ok((forth? + back?) / 2.0 < 1.0)
     }
 
-    /// The same without the voxels of strays; `None` where hardly any would go, or hardly any stay.
-    pub(super) fn without_strays(
-        &self,
-        source: &Cloud,
-        target: &Cloud,
-        config: &Config,
-        progress: &Progress<'_>,
-    ) -> Result<Option<Self>> {
-        /// Fewer of all voxels change nothing.
-        const LEAST_SHARE: f64 = 0.05;
-        let cleaned = |cloud: &Cloud| -> Result<Cloud> {
-            let voxels = downsample(cloud, self.voxel_size_m, progress)?;
-            without_strays(&voxels, self.voxel_size_m, progress)
-        };
-        let (of_source, of_target) = parallel::both(|| cleaned(source), || cleaned(target));
-        let voxels = [of_source?, of_target?];
-        let before = [&self.source_voxels, &self.target_voxels];
-        let keeps_most = |(after, before): (&Cloud, &Cloud)| {
-            after.len() as f64 > (1.0 - LEAST_SHARE) * before.len() as f64
-        };
-        let changes_nothing = voxels.iter().zip(before).all(keeps_most);
-        if changes_nothing || voxels.iter().any(|cloud| cloud.len() < MIN_POINTS) {
-            return Ok(None);
-        }
-        let lengths = (self.unit_m, self.voxel_size_m);
-        Self::of_voxels(voxels, self.source_scale, lengths, config, progress).map(Some)
-    }
-
-    fn of_voxels(
-        [source_voxels, target_voxels]: [Cloud; 2],
-        source_scale: f64,
-        (unit_m, voxel_size_m): (f64, f64),
-        config: &Config,
-        progress: &Progress<'_>,
-    ) -> Result<Self> {
-        let surfaces = |voxels: &Cloud| SurfaceCloud::new(voxels, config.seed, progress);
-        let (of_source, of_target) =
-            parallel::both(|| surfaces(&source_voxels), || surfaces(&target_voxels));
-        let surfaces = [of_source?, of_target?];
-        let [source, target] = Witnesses::of_both(
-            surfaces,
-            coarse::N_WITNESSES,
-            coarse::WITNESS_RADIUS * unit_m,
-            voxel_size_m,
-            progress,
-        )?;
-        Ok(Self {
-            source_scale,
-            source_voxels,
-            target_voxels,
-            source,
-            target,
-            unit_m,
-            voxel_size_m,
-            shares_of_strays: OnceLock::new(),
-        })
-    }
-
     /// What is known, about the origins of the prepared clouds.
     pub(super) fn known(&self, known: &Observations) -> Result<LocalObservations> {
         let (source_origin, target_origin) = (self.source.cloud.origin, self.target.cloud.origin);
-        if self.source_scale == 1.0 {
+        if self.thinned.source_scale == 1.0 {
             return known.about(source_origin, target_origin);
         }
         known
-            .for_scaled_source(self.source_scale, self.source_pivot())
+            .for_scaled_source(self.thinned.source_scale, self.source_pivot())
             .about(source_origin, target_origin)
     }
 
     /// The pose between these clouds, from one between the clouds that were given.
     pub(super) fn pose_from_given(&self, pose: &Similarity) -> Similarity {
         let from_scaled = Similarity {
-            scale: pose.scale / self.source_scale,
+            scale: pose.scale / self.thinned.source_scale,
             ..*pose
         };
         from_scaled.between_local_coordinates(self.source.cloud.origin, self.target.cloud.origin)
@@ -211,7 +105,10 @@ impl Prepared {
 
     /// Where the source's pivot lies in the coordinates given.
     pub(super) fn source_pivot(&self) -> Point {
-        self.source.cloud.origin.map(|v| v / self.source_scale)
+        self.source
+            .cloud
+            .origin
+            .map(|v| v / self.thinned.source_scale)
     }
 
     /// Where the target's pivot lies in the coordinates given.
@@ -222,19 +119,10 @@ impl Prepared {
     /// The pose about the pivots of the clouds that were given, from one of the prepared ones.
     pub(super) fn about_pivots(&self, pose: &Similarity) -> Similarity {
         Similarity {
-            scale: self.source_scale * pose.scale,
+            scale: self.thinned.source_scale * pose.scale,
             ..*pose
         }
     }
-}
-
-/// The cloud multiplied by `scale`.
-fn grown(cloud: &Cloud, scale: f64) -> Cloud {
-    let grow = |p: &Point| p.map(|v| scale * v);
-    Cloud::from_local(
-        grow(&cloud.origin()),
-        cloud.points().iter().map(grow).collect(),
-    )
 }
 
 /// The points of `cloud` between two corners, in the coordinates given.
@@ -256,18 +144,4 @@ pub(super) fn cropped(what: &str, cloud: &Cloud, corners: &[Point; 2]) -> Result
         });
     }
     Ok(Cloud::from_local(origin, points))
-}
-
-fn extent_of_smaller(source: &Cloud, target: &Cloud) -> Result<f64> {
-    for (what, cloud) in [("source cloud", source), ("target cloud", target)] {
-        if cloud.len() < MIN_POINTS {
-            return Err(Error::TooFewPoints {
-                what: format!("{what}, after outlier removal,"),
-                found: cloud.len(),
-                needed: MIN_POINTS,
-            });
-        }
-    }
-    let (of_source, of_target) = parallel::both(|| source.extent_m(), || target.extent_m());
-    Ok(of_source.min(of_target))
 }

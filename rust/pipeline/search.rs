@@ -3,8 +3,9 @@
 use std::ops::ControlFlow;
 
 use super::prepare::Prepared;
+use super::thin::Thinned;
 use crate::cloud::{Cloud, Point};
-use crate::coarse::{self, CoarseResult, Costly, Problem, StandingOut};
+use crate::coarse::{self, CoarseResult, Problem, StandingOut};
 use crate::config::{Config, Mode};
 use crate::deadline::Deadline;
 use crate::error::{Error, Result};
@@ -48,9 +49,9 @@ pub(super) fn search(
     let (n_source, n_target) = (prepared.source.cloud.len(), prepared.target.cloud.len());
     if config.mode == Mode::Paper {
         log.begin(Stage::Keypoints, n_source, n_target)?;
-        let of_source = (&prepared.source_voxels, prepared.source.cloud.origin);
-        let of_target = (&prepared.target_voxels, prepared.target.cloud.origin);
-        let voxel_size_m = prepared.voxel_size_m;
+        let of_source = (&prepared.thinned.source.cloud, prepared.source.cloud.origin);
+        let of_target = (&prepared.thinned.target.cloud, prepared.target.cloud.origin);
+        let voxel_size_m = prepared.thinned.voxel_size_m;
         let source = keypoints(of_source.0, of_source.1, voxel_size_m, config, progress)?;
         let target = keypoints(of_target.0, of_target.1, voxel_size_m, config, progress)?;
         log.end(source.len(), target.len());
@@ -58,39 +59,47 @@ pub(super) fn search(
         return coarse::search_paper(&source, &target, &config.paper, config.seed, progress);
     }
     log.begin(Stage::Coarse, n_source, n_target)?;
-    let goes_on = |_| Ok(ControlFlow::Continue(()));
+    let goes_on = || Ok(ControlFlow::Continue(()));
     search_asking(prepared, config, deadline, goes_on, progress)
 }
 
-/// The same, and between these clouds without strays: before the search becomes long where there are many,
-/// else where nothing stands out after all. With the clouds of the better answer.
+/// The same, and between these clouds without strays: before their surfaces are looked at where the search is long and
+/// either is full of strays, else after a few rounds where there are many, else where nothing stands out after all.
+/// With the clouds of the better answer.
 pub(super) fn search_also_without_strays(
-    prepared: Prepared,
-    given: [&Cloud; 2],
+    thinned: Thinned,
     config: &Config,
     deadline: Deadline,
     log: &mut StageLog<'_>,
     progress: &Progress<'_>,
 ) -> Result<(Prepared, CoarseResult)> {
     if !may_have_strays(config) {
+        let prepared = prepared(thinned, config, log, progress)?;
         let found = search(&prepared, config, deadline, log, progress)?;
         return Ok((prepared, found));
     }
-    let (n_source, n_target) = (prepared.source.cloud.len(), prepared.target.cloud.len());
     let enough = enough(config);
-    log.begin(Stage::Coarse, n_source, n_target)?;
+    // Noise of one sensor alone may look like strays: that only a few rounds can tell.
+    let are_asked_first = config.known.is_empty()
+        && thinned.has_many_places()
+        && thinned.are_both_strewn(progress)?;
     let mut without = None;
-    let look_without = |next| {
-        // Noise of one sensor alone may look like strays: that only a few rounds can tell.
-        let is_asked = without.is_none()
-            && match next {
-                Costly::FirstRound => prepared.are_both_strewn(progress)?,
-                Costly::ManyRounds => prepared.is_strewn(progress)?,
-            };
-        if !is_asked {
+    if are_asked_first {
+        log.end(thinned.source.len(), thinned.target.len());
+        match search_without_strays(&thinned, config, deadline, log, progress)? {
+            Some((cleaned, found)) if found.stands_out(enough) => return Ok((cleaned, found)),
+            other => without = Some(other),
+        }
+        log.begin(Stage::Voxel, thinned.source.len(), thinned.target.len())?;
+    }
+    let prepared = prepared(thinned, config, log, progress)?;
+    let (n_source, n_target) = (prepared.source.cloud.len(), prepared.target.cloud.len());
+    log.begin(Stage::Coarse, n_source, n_target)?;
+    let look_without = || {
+        if without.is_some() || !prepared.thinned.is_strewn(progress)? {
             return Ok(ControlFlow::Continue(()));
         }
-        let other = search_without_strays(&prepared, given, config, deadline, log, progress)?;
+        let other = search_without_strays(&prepared.thinned, config, deadline, log, progress)?;
         let stands_out = matches!(&other, Some((_, found)) if found.stands_out(enough));
         without = Some(other);
         if stands_out {
@@ -107,7 +116,7 @@ pub(super) fn search_also_without_strays(
     let without = match without {
         Some(other) => other,
         None if found.as_ref().is_ok_and(is_enough) => None,
-        None => search_without_strays(&prepared, given, config, deadline, log, progress)?,
+        None => search_without_strays(&prepared.thinned, config, deadline, log, progress)?,
     };
     match (found, without) {
         (Ok(found), Some(other)) if merit(&other.1) > merit(&found) => Ok(other),
@@ -120,19 +129,14 @@ pub(super) fn search_also_without_strays(
 /// The search between the clouds without strays; `None` where that changes nothing, or where no start led
 /// anywhere.
 pub(super) fn search_without_strays(
-    prepared: &Prepared,
-    [source, target]: [&Cloud; 2],
+    thinned: &Thinned,
     config: &Config,
     deadline: Deadline,
     log: &mut StageLog<'_>,
     progress: &Progress<'_>,
 ) -> Result<Option<(Prepared, CoarseResult)>> {
     log.keep();
-    log.begin(Stage::Voxel, source.len(), target.len())?;
-    let cleaned = prepared.without_strays(source, target, config, progress)?;
-    let counted = cleaned.as_ref().unwrap_or(prepared);
-    log.end(counted.source.cloud.len(), counted.target.cloud.len());
-    let Some(cleaned) = cleaned else {
+    let Some(cleaned) = without_strays(thinned, config, log, progress)? else {
         return Ok(None);
     };
     let found = match search(&cleaned, config, deadline, log, progress) {
@@ -144,20 +148,50 @@ pub(super) fn search_without_strays(
     Ok(found)
 }
 
-/// The robust search, which asks before it searches for long.
+/// The clouds without strays; `None` where that changes nothing. `log` is told of the stage.
+pub(super) fn without_strays(
+    thinned: &Thinned,
+    config: &Config,
+    log: &mut StageLog<'_>,
+    progress: &Progress<'_>,
+) -> Result<Option<Prepared>> {
+    let (n_source, n_target) = (thinned.source.len(), thinned.target.len());
+    log.begin(Stage::Voxel, n_source, n_target)?;
+    match thinned.without_strays(progress)? {
+        Some(cleaned) => prepared(cleaned, config, log, progress).map(Some),
+        None => {
+            log.end(n_source, n_target);
+            Ok(None)
+        }
+    }
+}
+
+/// The thinned clouds with their surfaces, which ends the stage of voxels.
+fn prepared(
+    thinned: Thinned,
+    config: &Config,
+    log: &mut StageLog<'_>,
+    progress: &Progress<'_>,
+) -> Result<Prepared> {
+    let prepared = Prepared::of(thinned, config, progress)?;
+    log.end(prepared.source.cloud.len(), prepared.target.cloud.len());
+    Ok(prepared)
+}
+
+/// The robust search, which asks after a few rounds whether to go on.
 fn search_asking(
     prepared: &Prepared,
     config: &Config,
     deadline: Deadline,
-    before: impl FnMut(Costly) -> Result<ControlFlow<()>>,
+    goes_on: impl FnMut() -> Result<ControlFlow<()>>,
     progress: &Progress<'_>,
 ) -> Result<CoarseResult> {
-    let (angle_rad, shift_m) = (SLACK_RAD, SLACK * prepared.unit_m);
+    let (angle_rad, shift_m) = (SLACK_RAD, SLACK * prepared.thinned.unit_m);
     let known = prepared.known(&config.known.loosened(angle_rad, shift_m))?;
     let problem = Problem {
         source: &prepared.source,
         target: &prepared.target,
-        unit_m: prepared.unit_m,
+        unit_m: prepared.thinned.unit_m,
         freedom: config.dof,
         known: &known,
     };
@@ -167,7 +201,7 @@ fn search_asking(
         enough(config),
         deadline,
         config.seed,
-        before,
+        goes_on,
         progress,
     )
 }

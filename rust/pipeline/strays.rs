@@ -6,14 +6,16 @@
 //! do not lie on the surface that most of what stands there lies on.
 //! Source: ours; planes by iteratively reweighted least squares; measured in docs/robust_search.md.
 
-use crate::cloud::{Cloud, Point, distance_sq, dot};
+use std::array;
+
+use crate::cloud::{Point, distance_sq, dot};
 use crate::error::Result;
 use crate::neighbors::{Block, Collector, NeighborIndex, Places, WIDTH};
 use crate::normals::Symmetric;
 use crate::progress::Progress;
 use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
-use crate::voxel::VoxelResult;
+use crate::vectorize::widest;
 
 /// Points are counted within so many voxels.
 const RADIUS_IN_VOXELS: f64 = 2.0;
@@ -31,44 +33,49 @@ const LEAST_IN_SURFACE: f64 = 0.5;
 /// and a voxel that is no stray lies within this.
 const ON_SURFACE: f64 = 0.1;
 
-/// The voxels without those of strays, in their order.
+/// The numbers of the voxels that are not those of strays, rising; each voxel stands for so many points.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`].
 pub(super) fn without_strays(
-    voxels: &VoxelResult,
+    voxels: &NeighborIndex,
+    n_points: &[u32],
     voxel_size_m: f64,
     progress: &Progress<'_>,
-) -> Result<Cloud> {
-    let dense = where_many_stand(voxels, voxel_size_m, progress)?;
-    let index = NeighborIndex::new(&dense);
+) -> Result<Vec<u32>> {
+    let dense = where_many_stand(voxels, n_points, voxel_size_m, progress)?;
+    let points: Vec<Point> = (dense.iter())
+        .map(|i| voxels.points()[*i as usize])
+        .collect();
+    let index = NeighborIndex::new(&points);
     let is_kept = index.map_k_nearest(&index.places(), N_NEAR, progress, is_on_surface)?;
     let kept = dense.into_iter().zip(is_kept);
-    let kept = kept.filter_map(|(p, is_kept)| is_kept.then_some(p));
-    Ok(Cloud::from_local(voxels.cloud.origin(), kept.collect()))
+    Ok(kept
+        .filter_map(|(i, is_kept)| is_kept.then_some(i))
+        .collect())
 }
 
-/// How many voxels of a cloud lie off the surface that most of what stands round them lies on, of one, by a
+/// How many points of a cloud lie off the surface that most of what stands round them lies on, of one, by a
 /// sample.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`].
-pub(super) fn share_of_strays(cloud: &SurfaceCloud, progress: &Progress<'_>) -> Result<f64> {
+pub(super) fn share_of_strays(index: &NeighborIndex, progress: &Progress<'_>) -> Result<f64> {
     const N_ASKED: usize = 2000;
-    let is_kept = lie_on_surface(cloud, &cloud.points_of(cloud.drawn(N_ASKED)), progress)?;
+    let stride = index.len().div_ceil(N_ASKED).max(1);
+    let asked: Vec<Point> = index.points().iter().step_by(stride).copied().collect();
+    let is_kept = lie_on_surface(index, &asked, progress)?;
     let n_strays = is_kept.iter().filter(|is_kept| !**is_kept).count();
     Ok(n_strays as f64 / is_kept.len().max(1) as f64)
 }
 
-/// Which of some points of `cloud` lie on the surface that most of what stands round them lies on.
+/// Which of some points of a cloud lie on the surface that most of what stands round them lies on.
 fn lie_on_surface(
-    cloud: &SurfaceCloud,
+    index: &NeighborIndex,
     points: &[Point],
     progress: &Progress<'_>,
 ) -> Result<Vec<bool>> {
-    let places = Places::new(points);
-    let index = &cloud.index;
-    index.map_k_nearest(&places, N_NEAR, progress, is_on_surface)
+    index.map_k_nearest(&Places::new(points), N_NEAR, progress, is_on_surface)
 }
 
 /// How often the partner of a point on a surface of `from`, its nearest of `to` and at most so far away, lies on a
@@ -95,32 +102,31 @@ pub(super) fn surfaces_on_surfaces(
     };
     let pairs = from.drawn(from.len()).iter().filter_map(pair);
     let (own, theirs): (Vec<Point>, Vec<Point>) = pairs.take(N_PAIRS).unzip();
-    let own = lie_on_surface(from, &own, progress)?;
-    let theirs = lie_on_surface(to, &theirs, progress)?;
+    let own = lie_on_surface(&from.index, &own, progress)?;
+    let theirs = lie_on_surface(&to.index, &theirs, progress)?;
     let of_surfaces = own.iter().zip(&theirs).filter(|(own, _)| **own);
     let n_surfaces = of_surfaces.clone().count();
     let n_on_surfaces = of_surfaces.filter(|(_, theirs)| **theirs).count();
     Ok(n_on_surfaces as f64 / n_surfaces as f64 / (1.0 - share_of_strays))
 }
 
-/// The voxels round which many points stand.
+/// The numbers of the voxels round which many points stand, rising.
 fn where_many_stand(
-    voxels: &VoxelResult,
+    voxels: &NeighborIndex,
+    n_points: &[u32],
     voxel_size_m: f64,
     progress: &Progress<'_>,
-) -> Result<Vec<Point>> {
-    let (cloud, n_points) = (&voxels.cloud, &voxels.n_points);
-    let index = NeighborIndex::new(cloud.points());
+) -> Result<Vec<u32>> {
     let fresh = || PointsWithin {
         radius_sq: (RADIUS_IN_VOXELS * voxel_size_m).powi(2),
         n_points,
         sum: 0,
     };
-    let n_near = index.map_collected(&index.places(), fresh, progress, |near| near.sum)?;
+    let n_near = voxels.map_collected(&voxels.places(), fresh, progress, |near| near.sum)?;
     let least = LEAST_SHARE * half_of_all_have(&n_near, n_points) as f64;
-    Ok((0..cloud.len())
-        .filter(|i| n_near[*i] as f64 >= least)
-        .map(|i| cloud.points()[i])
+    let numbers = (0..).zip(&n_near);
+    Ok(numbers
+        .filter_map(|(i, n)| (*n as f64 >= least).then_some(i))
         .collect())
 }
 
@@ -152,41 +158,111 @@ impl Collector for PointsWithin<'_> {
 /// they tell no plane.
 fn is_on_surface(own: &Point, near: &[Point]) -> bool {
     let reach_m = (near.iter().map(|p| distance_sq(own, p)).fold(0.0, f64::max)).sqrt();
-    let (mut weights, mut off, mut own_off) = ([1.0; N_NEAR], [0.0; N_NEAR], 0.0);
-    for pull in PULLS {
-        let total: f64 = weights[..near.len()].iter().sum();
-        let mut middle = [0.0; 3];
-        for (p, weight) in near.iter().zip(weights) {
+    if reach_m == 0.0 {
+        return true;
+    }
+    widest(
+        #[inline(always)]
+        || Neighborhood::new(own, near, reach_m).is_middle_on_plane(),
+    )
+}
+
+/// One number for each of the points round about.
+type Lanes = [f64; N_NEAR];
+
+/// Points about one of them, in shares of the distance of the farthest. Where there are fewer than lanes, those left
+/// over weigh nothing.
+struct Neighborhood {
+    axes: [Lanes; 3],
+    n: usize,
+}
+
+impl Neighborhood {
+    #[inline(always)]
+    fn new(own: &Point, near: &[Point], reach_m: f64) -> Self {
+        let mut axes = [[0.0; N_NEAR]; 3];
+        for (lane, p) in near.iter().enumerate() {
             for axis in 0..3 {
-                middle[axis] += weight / total * p[axis];
+                axes[axis][lane] = (p[axis] - own[axis]) / reach_m;
             }
         }
-        let from_middle = |p: &Point| std::array::from_fn(|axis| p[axis] - middle[axis]);
-        let mut scatter = Symmetric::default();
-        for (p, weight) in near.iter().zip(weights) {
-            scatter.add(from_middle(p), weight);
+        let n = near.len();
+        Self { axes, n }
+    }
+
+    #[inline(always)]
+    fn is_middle_on_plane(&self) -> bool {
+        let is_there: Lanes = array::from_fn(|lane| f64::from(u8::from(lane < self.n)));
+        let (mut weights, mut off, mut own_off) = (is_there, [0.0; N_NEAR], 0.0);
+        for pull in PULLS {
+            let (middle, scatter) = self.moments(&weights);
+            let Some((normal, _)) = scatter.least() else {
+                return true;
+            };
+            let [x, y, z] = &self.axes;
+            let of_middle = dot(&normal, &middle);
+            for lane in 0..N_NEAR {
+                let along = normal[0] * x[lane] + normal[1] * y[lane] + normal[2] * z[lane];
+                off[lane] = (along - of_middle).abs();
+            }
+            own_off = of_middle.abs();
+            if off.iter().all(|off| *off < ON_SURFACE) {
+                // Where nobody stands off it, there is no other plane to be drawn to.
+                return true;
+            }
+            for lane in 0..N_NEAR {
+                weights[lane] = is_there[lane] * bell(off[lane] / pull);
+            }
         }
-        let Some((normal, _)) = scatter.least() else {
-            return true;
+        let n_in = off[..self.n].iter().filter(|off| **off < IN_SURFACE);
+        own_off < ON_SURFACE && n_in.count() as f64 > LEAST_IN_SURFACE * self.n as f64
+    }
+
+    /// The middle of the points, each counting by its weight, and their scatter about it.
+    #[inline(always)]
+    fn moments(&self, weights: &Lanes) -> (Point, Symmetric) {
+        let [x, y, z] = &self.axes;
+        let weighed = |of: &Lanes| -> Lanes { array::from_fn(|lane| weights[lane] * of[lane]) };
+        let [by_x, by_y, by_z] = [weighed(x), weighed(y), weighed(z)];
+        let total = sum(weights);
+        let middle = [&by_x, &by_y, &by_z].map(|of| sum(of) / total);
+        let about_middle = |by: &Lanes, of: &Lanes, a: usize, b: usize| {
+            sum(&array::from_fn(|lane| by[lane] * of[lane])) - total * middle[a] * middle[b]
         };
-        let off_plane = |p: &Point| dot(&normal, &from_middle(p)).abs() / reach_m;
-        for (p, off) in near.iter().zip(&mut off) {
-            *off = off_plane(p);
-        }
-        own_off = off_plane(own);
-        if off.iter().all(|off| *off < ON_SURFACE) {
-            // Where nobody stands off it, there is no other plane to be drawn to.
-            return true;
-        }
-        for (weight, off) in weights.iter_mut().zip(off) {
-            *weight = (-0.5 * (off / pull).powi(2)).exp();
+        let diagonal = [
+            about_middle(&by_x, x, 0, 0),
+            about_middle(&by_y, y, 1, 1),
+            about_middle(&by_z, z, 2, 2),
+        ];
+        let off_diagonal = [
+            about_middle(&by_y, z, 1, 2),
+            about_middle(&by_x, z, 0, 2),
+            about_middle(&by_x, y, 0, 1),
+        ];
+        (middle, Symmetric::new(diagonal, off_diagonal))
+    }
+}
+
+/// Four sums side by side, then theirs.
+#[inline(always)]
+fn sum(of: &Lanes) -> f64 {
+    let mut sums = [0.0; 4];
+    for four in of.chunks_exact(4) {
+        for (sum, v) in sums.iter_mut().zip(four) {
+            *sum += v;
         }
     }
-    let n_in = off[..near.len()]
-        .iter()
-        .filter(|off| **off < IN_SURFACE)
-        .count();
-    own_off < ON_SURFACE && n_in as f64 > LEAST_IN_SURFACE * near.len() as f64
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
+}
+
+/// The bell curve exp(-x²/2) within some hundredths, by products alone; 0 beyond 5.7.
+#[inline(always)]
+fn bell(x: f64) -> f64 {
+    let mut bell = (1.0 - x * x / 32.0).max(0.0);
+    for _ in 0..4 {
+        bell *= bell;
+    }
+    bell
 }
 
 /// The median over the points of the cloud of how many stand round about; 0 for no voxels.
@@ -216,9 +292,22 @@ fn half_of_all_have(n_near: &[u64], n_points: &[u32]) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::Cloud;
     use crate::random::Stream;
     use crate::rigid::Rigid;
+    use crate::surface_cloud::IndexedCloud;
     use crate::voxel::downsample;
+
+    /// The voxels of a cloud, and those without strays, in its coordinates.
+    fn before_and_without_strays(cloud: &Cloud, voxel_size_m: f64) -> (Vec<Point>, Vec<Point>) {
+        let silent = Progress::silent();
+        let voxels = downsample(cloud, voxel_size_m, &silent).unwrap();
+        let index = NeighborIndex::new(voxels.cloud.points());
+        let kept = without_strays(&index, &voxels.n_points, voxel_size_m, &silent).unwrap();
+        let before = voxels.cloud.to_given_coordinates();
+        let after = kept.iter().map(|i| before[*i as usize]).collect();
+        (before, after)
+    }
 
     #[test]
     fn ground_stays_also_where_it_is_thin_and_what_hovers_over_it_goes() {
@@ -232,14 +321,11 @@ mod tests {
             .collect();
         points.extend((0..3500).map(|_| [40.0, 20.0, 10.0].map(|side| side * stream.uniform())));
         let cloud = Cloud::named("cloud", &points).unwrap();
-        let voxels = downsample(&cloud, 1.0, &Progress::silent()).unwrap();
-        let cleaned = without_strays(&voxels, 1.0, &Progress::silent()).unwrap();
-        let cleaned = cleaned.to_given_coordinates();
+        let (before, cleaned) = before_and_without_strays(&cloud, 1.0);
         let count = |points: &[Point], low: f64, high: f64| {
             let is_there = |p: &&Point| (low..high).contains(&p[2]);
             points.iter().filter(is_there).count()
         };
-        let before = voxels.cloud.to_given_coordinates();
         // A few strays stand together by chance.
         let n_strays = count(&before, 3.0, 11.0);
         assert!(n_strays > 1500 && count(&cleaned, 3.0, 11.0) < n_strays / 50);
@@ -262,23 +348,20 @@ mod tests {
             .collect();
         let points: Vec<Point> = placed.iter().map(|(p, _)| *p).collect();
         let cloud = Cloud::named("cloud", &points).unwrap();
-        let voxels = downsample(&cloud, 0.5, &Progress::silent()).unwrap();
-        let cleaned = without_strays(&voxels, 0.5, &Progress::silent()).unwrap();
+        let (before, after) = before_and_without_strays(&cloud, 0.5);
         let share = |of: &Cloud| {
-            let surfaces = SurfaceCloud::new(of, 0, &Progress::silent()).unwrap();
-            share_of_strays(&surfaces, &Progress::silent()).unwrap()
+            let index = IndexedCloud::new(of).0.index;
+            share_of_strays(&index, &Progress::silent()).unwrap()
         };
         let hill = Cloud::named("hill", &points[..3600]).unwrap();
         assert!((0.25..0.4).contains(&share(&cloud)) && share(&hill) < 0.01);
-        let count = |cloud: &Cloud, low: f64, high: f64| {
+        let count = |points: &[Point], low: f64, high: f64| {
             let off = |p: &Point| (p[2] - height(p[0], p[1])).abs();
-            let points = cloud.to_given_coordinates();
             (points.iter().filter(|p| (low..high).contains(&off(p)))).count() as f64
         };
-        let (before, after) = (&voxels.cloud, &cleaned);
-        assert!(count(after, 0.0, 0.1) > 0.95 * count(before, 0.0, 0.1));
-        assert!(count(before, 1.0, 3.0) > 1000.0);
-        assert!(count(after, 1.0, 3.0) < 0.15 * count(before, 1.0, 3.0));
+        assert!(count(&after, 0.0, 0.1) > 0.95 * count(&before, 0.0, 0.1));
+        assert!(count(&before, 1.0, 3.0) > 1000.0);
+        assert!(count(&after, 1.0, 3.0) < 0.15 * count(&before, 1.0, 3.0));
     }
 
     #[test]
@@ -301,7 +384,7 @@ mod tests {
         };
         let (from, to) = (hill(1, 5.0), hill(2, -5.0));
         let silent = Progress::silent();
-        let to = (&to, share_of_strays(&to, &silent).unwrap());
+        let to = (&to, share_of_strays(&to.index, &silent).unwrap());
         let at = |height: f64| {
             let pose = Rigid::from_euler([0.0; 3], [0.0, 0.0, height]);
             let pose = pose.between_local_coordinates(from.origin, to.0.origin);
