@@ -121,7 +121,7 @@ pub(super) fn brought_to_rest_without_strays(
     Ok(lies_closer.then_some((cleaned, again)))
 }
 
-/// Whether the pose rests on strays alone: no surface is even enough to vouch for it, there are many strays, and
+/// Whether the pose rests on strays alone: no surface is even enough to vouch for it, there are some strays, and
 /// surfaces do not lie on surfaces.
 pub(super) fn rests_on_strays(
     prepared: &Prepared,
@@ -132,7 +132,7 @@ pub(super) fn rests_on_strays(
 ) -> Result<bool> {
     Ok(fine.surface_offset_m.is_nan()
         && may_have_strays(config)
-        && prepared.thinned.is_strewn(progress)?
+        && prepared.thinned.has_some_strays(progress)?
         && prepared.lies_on_strays(&fine.pose, max_distance_m, progress)?)
 }
 

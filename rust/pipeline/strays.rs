@@ -211,7 +211,7 @@ impl Neighborhood {
                 return true;
             }
             for lane in 0..N_NEAR {
-                weights[lane] = is_there[lane] * bell(off[lane] / pull);
+                weights[lane] = is_there[lane] * (-0.5 * (off[lane] / pull).powi(2)).exp();
             }
         }
         let n_in = off[..self.n].iter().filter(|off| **off < IN_SURFACE);
@@ -253,16 +253,6 @@ fn sum(of: &Lanes) -> f64 {
         }
     }
     (sums[0] + sums[1]) + (sums[2] + sums[3])
-}
-
-/// The bell curve exp(-x²/2) within some hundredths, by products alone; 0 beyond 5.7.
-#[inline(always)]
-fn bell(x: f64) -> f64 {
-    let mut bell = (1.0 - x * x / 32.0).max(0.0);
-    for _ in 0..4 {
-        bell *= bell;
-    }
-    bell
 }
 
 /// The median over the points of the cloud of how many stand round about; 0 for no voxels.

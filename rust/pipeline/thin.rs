@@ -17,6 +17,8 @@ use crate::voxel::{VoxelResult, downsample};
 
 /// Where 30 % of the points are strays, a quarter to a half of all voxels are.
 const MANY_STRAYS: f64 = 0.25;
+/// So many strays of one cloud may lie on those of the other.
+const SOME_STRAYS: f64 = 0.15;
 
 /// Two clouds with one voxel, indexed.
 #[derive(Debug)]
@@ -124,8 +126,20 @@ impl Thinned {
     /// # Errors
     /// [`crate::Error::Cancelled`].
     pub(super) fn is_strewn(&self, progress: &Progress<'_>) -> Result<bool> {
+        Ok(self.mean_share_of_strays(progress)? > MANY_STRAYS)
+    }
+
+    /// Whether, on average over the two clouds, there are strays enough to vouch for a pose.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`].
+    pub(super) fn has_some_strays(&self, progress: &Progress<'_>) -> Result<bool> {
+        Ok(self.mean_share_of_strays(progress)? > SOME_STRAYS)
+    }
+
+    fn mean_share_of_strays(&self, progress: &Progress<'_>) -> Result<f64> {
         let [of_source, of_target] = self.shares_of_strays(progress)?;
-        Ok((of_source + of_target) / 2.0 > MANY_STRAYS)
+        Ok((of_source + of_target) / 2.0)
     }
 
     /// Whether in each of the clouds many voxels are those of strays.

@@ -34,11 +34,13 @@ def pose() -> Floats:
 
 
 # Strays on strays agree 5 m off, where no surface is even: there they hide that the hills do not meet.
+# Of the fewest strays about a quarter of the voxels are.
+@pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("stray_share", "depth_m"), [(0.3, 6.0), (0.5, 4.0), (0.5, 6.0)])
-def test_strays_on_strays_are_no_pose(stray_share: float, depth_m: float) -> None:
+def test_strays_on_strays_are_no_pose(stray_share: float, depth_m: float, seed: int) -> None:
     there, target = hills(1, stray_share, depth_m, 0.05), hills(2, stray_share, -depth_m, 0.05)
     source = moved(pose(), there)
-    found = tmchho.register(source, target, seed=0)
+    found = tmchho.register(source, target, seed=seed)
     off_m = float(np.linalg.norm(found.apply(source) - there, axis=1).max())
     assert found.verdict != "accepted" or off_m < found.voxel_size, off_m
 
