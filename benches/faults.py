@@ -311,6 +311,8 @@ def little_memory(faults: Faults) -> str:
             assert re.search(r"only [\d.]+ [MG]B more", done.stderr), done.stderr
             assert not out.exists()
         faults.check(out)
+    # What is enough once is enough for good: no chance in which thread came to reserve what.
+    assert codes == sorted(codes, reverse=True), codes
     return f"little memory: exit codes {codes}"
 
 

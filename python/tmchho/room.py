@@ -21,6 +21,7 @@ _BYTES_PER_POINT = 400
 _NO_LIMIT = 2**60  # what the first version of groups writes where there is none is larger
 _LEAST = 60_000_000  # threads, whatever they work on
 _LEAST_FOR_PARTS = 600_000_000
+_MOST_HEAPS = -8  # M_ARENA_MAX of glibc's malloc.h
 
 
 def machine_memory() -> int:
@@ -40,6 +41,19 @@ def room_left() -> int | None:
     if confined is not None:
         rooms.append(confined - _kilobytes("VmRSS:"))
     return max(0, min(rooms)) if rooms else None
+
+
+def spare_addresses() -> None:
+    """Let all threads share one heap where `ulimit -v` counts addresses; for a process that is ours alone.
+
+    Otherwise the allocator of glibc reserves 64 MB of addresses for each of them, nearly all unused, and how
+    many come to have one is chance: the same limit was enough in one run and ended the next without a word.
+    """
+    if _address_limit() is None:
+        return
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None)  # other systems reserve nothing
+    if set_option is not None:
+        set_option(_MOST_HEAPS, 1)
 
 
 def check_room(n_points: int, bytes_per_point: int = _BYTES_PER_POINT) -> None:

@@ -56,6 +56,9 @@ def main() -> None:
 
     Try `tmchho demo` first.
     """
+    from tmchho.room import spare_addresses
+
+    spare_addresses()
 
 
 # In the order in which a newcomer needs them: `--help` lists them so.
