@@ -3,8 +3,8 @@
 //! Why: poses are verified by asking for partners tens of thousands of times each. A tree answers
 //! exactly in hundreds of nanoseconds; what is asked here, whether surface lies near and how it
 //! slopes, does not need the very nearest point.
-//! The answer is the point nearest to the *centre of the cell* of the query: at most two half
-//! diagonals of a cell farther than the nearest one.
+//! The answer is the point nearest to the *centre of the cell* of the query, to a 300 000th of the squared reach: at
+//! most two half diagonals of a cell farther than the nearest one.
 //! Memory: 16 bytes for each block of 8×8×8 cells in the box, 2 KiB for each block that was asked
 //! about and lies near points, 40 bytes a point; blocks are filled when first asked, whoever asks first alike.
 //! Source: ours. The counterpart for the whole box, coarse and without a limit of distance, is
@@ -22,6 +22,12 @@ const EDGE: usize = 8;
 const ROWS: usize = EDGE * EDGE;
 /// A cell whose centre is this many cells from a point may still hold a query at the reach.
 const HALF_DIAGONAL: f64 = 0.867;
+
+/// Of a key, for the number of a point; the others are for its squared distance, of which three are added.
+const NUMBER_BITS: u32 = 12;
+const LAST_NUMBER: u32 = (1 << NUMBER_BITS) - 1;
+const FARTHEST: u32 = (1 << (32 - NUMBER_BITS)) / 3;
+const OUT_OF_REACH: u32 = FARTHEST << NUMBER_BITS;
 
 type Block = Option<Box<[[u32; EDGE]; ROWS]>>;
 
@@ -149,25 +155,41 @@ impl NearField {
 
     /// The nearest point to the centre of every cell of a block.
     fn fill(&self, block: usize) -> Block {
-        let reach = self.reach_cells as f32;
-        let mut best_sq = [[reach * reach; EDGE]; ROWS];
-        let mut nearest = [[NOBODY; EDGE]; ROWS];
-        let round_about = self.round_about(block);
-        widest(
-            #[inline(always)]
-            || {
-                for (corner, members) in round_about {
-                    for member in members {
-                        // Relative to the centre of the first cell of the block to be filled.
-                        let p =
-                            std::array::from_fn(|axis| corner[axis] + member.within[axis] - 0.5);
-                        stamp(p, member.index, reach, &mut best_sq, &mut nearest);
-                    }
+        let near = self.within_reach_of(block);
+        if near.is_empty() {
+            return None;
+        }
+        let mut nearest = Box::new([[NOBODY; EDGE]; ROWS]);
+        let mut best = [[OUT_OF_REACH; EDGE]; ROWS];
+        for near in near.chunks(1 << NUMBER_BITS) {
+            let keys = least_keys(near, self.reach_cells as f32);
+            let cells = nearest.as_flattened_mut().iter_mut();
+            let keys = keys.as_flattened().iter();
+            for ((nearest, best), key) in cells.zip(best.as_flattened_mut()).zip(keys) {
+                if *key >> NUMBER_BITS < *best >> NUMBER_BITS {
+                    *best = *key;
+                    *nearest = near[(*key & LAST_NUMBER) as usize].index;
                 }
-            },
-        );
-        let is_near = |i: &u32| *i != NOBODY;
-        (nearest.as_flattened().iter().any(is_near)).then(|| Box::new(nearest))
+            }
+        }
+        Some(nearest)
+    }
+
+    /// The points from which some cell of a block may be in reach, relative to the centre of its first cell.
+    fn within_reach_of(&self, block: usize) -> Vec<Member> {
+        const LAST: f32 = EDGE as f32 - 1.0;
+        let reach = self.reach_cells as f32;
+        let n_round_about = self.round_about(block).map(|(_, members)| members.len());
+        let mut near = Vec::with_capacity(n_round_about.sum());
+        for (corner, members) in self.round_about(block) {
+            let placed = members.iter().map(|member| Member {
+                within: std::array::from_fn(|axis| corner[axis] + member.within[axis] - 0.5),
+                ..*member
+            });
+            let is_near = |v: &f32| *v >= -reach && *v <= LAST + reach;
+            near.extend(placed.filter(|member| member.within.iter().all(is_near)));
+        }
+        near
     }
 
     /// A block and those that touch it: how many cells away each begins, and its points.
@@ -198,45 +220,58 @@ struct Member {
     index: u32,
 }
 
+/// For every cell the least key of all points: the squared distance, in parts of the reach, and below it the number of
+/// the point. So one comparison of whole numbers keeps both.
+fn least_keys(near: &[Member], reach: f32) -> [[u32; EDGE]; ROWS] {
+    let mut keys = [[OUT_OF_REACH; EDGE]; ROWS];
+    widest(
+        #[inline(always)]
+        || {
+            for (number, member) in (0_u32..).zip(near) {
+                enter(member.within, number, reach, &mut keys);
+            }
+        },
+    );
+    keys
+}
+
 /// Enters a point into every cell of a block that it is nearer to than those before it.
 #[inline(always)]
-fn stamp(
-    p: [f32; 3],
-    i: u32,
-    reach: f32,
-    best_sq: &mut [[f32; EDGE]; ROWS],
-    nearest: &mut [[u32; EDGE]; ROWS],
-) {
+fn enter(p: [f32; 3], number: u32, reach: f32, keys: &mut [[u32; EDGE]; ROWS]) {
     const LAST: f32 = EDGE as f32 - 1.0;
-    if p.iter().any(|v| *v < -reach || *v > LAST + reach) {
-        return;
-    }
-    // The casts cut towards 0, which may take one row too many, and saturate.
+    // Rounded, which may take a row too many.
     let span = |axis: usize| {
-        let (low, high) = (p[axis] - reach, (p[axis] + reach).min(LAST));
-        low as usize..high as usize + 1
+        let (low, high) = ((p[axis] - reach).max(0.0), (p[axis] + reach).min(LAST));
+        whole(low) as usize..whole(high) as usize + 1
     };
-    let xs_sq = std::array::from_fn::<f32, EDGE, _>(|x| (p[0] - x as f32).powi(2));
     let reach_sq = reach * reach;
+    let key_per_cell_sq = FARTHEST as f32 / reach_sq;
+    let squares = |v: f32| -> [u32; EDGE] {
+        std::array::from_fn(|cell| {
+            let distance = v - cell as f32;
+            // Whatever lies beyond the reach on one axis does so altogether, and no sum overflows.
+            whole((distance * distance).min(reach_sq) * key_per_cell_sq) << NUMBER_BITS
+        })
+    };
+    let [xs, ys, zs] = p.map(squares);
+    let xs = xs.map(|x_sq| x_sq | number);
+    let span_y = span(1);
     for z in span(2) {
-        let z_sq = (p[2] - z as f32).powi(2);
-        for y in span(1) {
-            let across_sq = z_sq + (p[1] - y as f32).powi(2);
-            if across_sq > reach_sq {
-                continue;
-            }
-            let row = z * EDGE + y;
-            // Whole rows in and out of the registers: so the machine's vectors are used.
-            let (mut row_sq, mut row_nearest) = (best_sq[row], nearest[row]);
+        let rows = &mut keys[z * EDGE..(z + 1) * EDGE];
+        for (row, y_sq) in rows[span_y.clone()].iter_mut().zip(&ys[span_y.clone()]) {
+            let across_sq = zs[z] + y_sq;
             for x in 0..EDGE {
-                let distance_sq = across_sq + xs_sq[x];
-                let nearer = distance_sq < row_sq[x];
-                row_sq[x] = if nearer { distance_sq } else { row_sq[x] };
-                row_nearest[x] = if nearer { i } else { row_nearest[x] };
+                row[x] = row[x].min(xs[x] + across_sq);
             }
-            (best_sq[row], nearest[row]) = (row_sq, row_nearest);
         }
     }
+}
+
+/// A number from 0 to 2²² rounded, without the cases that casts care for: so all of a vector are converted at once.
+#[inline(always)]
+fn whole(v: f32) -> u32 {
+    const ONES: f32 = (1 << 23) as f32; // from here on neighbouring numbers are 1 apart
+    (v + ONES).to_bits() & ((1 << 23) - 1)
 }
 
 #[cfg(test)]

@@ -30,8 +30,6 @@ pub(super) struct Thinned {
     /// The extent of the smaller cloud, which every derived length is a share of.
     pub(super) unit_m: f64,
     pub(super) voxel_size_m: f64,
-    /// Whether the voxels of strays are gone.
-    is_cleaned: bool,
     /// Of source and target, once somebody asks.
     shares_of_strays: OnceLock<[f64; 2]>,
 }
@@ -41,8 +39,8 @@ pub(super) struct Thinned {
 pub(super) struct Voxels {
     pub(super) cloud: Cloud,
     pub(super) indexed: IndexedCloud,
-    /// How many points each of the indexed voxels stands for.
-    n_points: Vec<u32>,
+    /// How many points each of the indexed voxels stands for, which tells strays; `None` once these are gone.
+    n_points: Option<Vec<u32>>,
 }
 
 impl Voxels {
@@ -52,7 +50,16 @@ impl Voxels {
         Self {
             cloud,
             indexed,
-            n_points,
+            n_points: Some(n_points),
+        }
+    }
+
+    fn cleaned(cloud: Cloud) -> Self {
+        let (indexed, _) = IndexedCloud::new(&cloud);
+        Self {
+            cloud,
+            indexed,
+            n_points: None,
         }
     }
 
@@ -61,14 +68,14 @@ impl Voxels {
         self.cloud.len()
     }
 
-    fn without_strays(&self, voxel_size_m: f64, progress: &Progress<'_>) -> Result<VoxelResult> {
+    fn without_strays(&self, voxel_size_m: f64, progress: &Progress<'_>) -> Result<Option<Cloud>> {
+        let Some(n_points) = &self.n_points else {
+            return Ok(None);
+        };
         let index = &self.indexed.index;
-        let kept = without_strays(index, &self.n_points, voxel_size_m, progress)?;
+        let kept = without_strays(index, n_points, voxel_size_m, progress)?;
         let points = kept.iter().map(|i| index.points()[*i as usize]).collect();
-        Ok(VoxelResult {
-            cloud: Cloud::from_local(self.indexed.origin, points),
-            n_points: kept.iter().map(|i| self.n_points[*i as usize]).collect(),
-        })
+        Ok(Some(Cloud::from_local(self.indexed.origin, points)))
     }
 }
 
@@ -109,7 +116,6 @@ impl Thinned {
             target: target?,
             unit_m,
             voxel_size_m,
-            is_cleaned: false,
             shares_of_strays: OnceLock::new(),
         })
     }
@@ -165,32 +171,31 @@ impl Thinned {
         Ok(*self.shares_of_strays.get_or_init(|| shares))
     }
 
-    /// The same without the voxels of strays; `None` where hardly any would go, or hardly any stay.
+    /// The same without the voxels of strays; `None` where hardly any would go, or hardly any stay, or these are gone.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`].
     pub(super) fn without_strays(&self, progress: &Progress<'_>) -> Result<Option<Self>> {
         /// Fewer of all voxels change nothing.
         const LEAST_SHARE: f64 = 0.05;
-        if self.is_cleaned {
-            return Ok(None);
-        }
         let cleaned = |of: &Voxels| of.without_strays(self.voxel_size_m, progress);
         let (source, target) = parallel::both(|| cleaned(&self.source), || cleaned(&self.target));
-        let (source, target) = (source?, target?);
-        let keeps_most = |after: &VoxelResult, before: &Voxels| {
-            after.cloud.len() as f64 > (1.0 - LEAST_SHARE) * before.len() as f64
+        let (Some(source), Some(target)) = (source?, target?) else {
+            return Ok(None);
+        };
+        let keeps_most = |after: &Cloud, before: &Voxels| {
+            after.len() as f64 > (1.0 - LEAST_SHARE) * before.len() as f64
         };
         let changes_nothing =
             keeps_most(&source, &self.source) && keeps_most(&target, &self.target);
-        if changes_nothing || source.cloud.len().min(target.cloud.len()) < MIN_POINTS {
+        if changes_nothing || source.len().min(target.len()) < MIN_POINTS {
             return Ok(None);
         }
-        let (source, target) = parallel::both(|| Voxels::new(source), || Voxels::new(target));
+        let (source, target) =
+            parallel::both(|| Voxels::cleaned(source), || Voxels::cleaned(target));
         Ok(Some(Self {
             source,
             target,
-            is_cleaned: true,
             shares_of_strays: OnceLock::new(),
             ..*self
         }))
