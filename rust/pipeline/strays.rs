@@ -211,7 +211,7 @@ impl Neighborhood {
                 return true;
             }
             for lane in 0..N_NEAR {
-                weights[lane] = is_there[lane] * (-0.5 * (off[lane] / pull).powi(2)).exp();
+                weights[lane] = is_there[lane] * bell(off[lane] / pull);
             }
         }
         let n_in = off[..self.n].iter().filter(|off| **off < IN_SURFACE);
@@ -241,6 +241,19 @@ impl Neighborhood {
         ];
         (middle, Symmetric::new(diagonal, off_diagonal))
     }
+}
+
+/// exp(−x²/2) for |x| up to 16, to 2·10⁻⁵ of it where it is above a tenth: by multiplications alone, which lanes
+/// do side by side.
+#[inline(always)]
+fn bell(x: f64) -> f64 {
+    const DOUBLINGS: i32 = 8;
+    let part = 0.5 * x * x / f64::from(1 << DOUBLINGS);
+    let mut power = 1.0 - part + 0.5 * part * part;
+    for _ in 0..DOUBLINGS {
+        power *= power;
+    }
+    power
 }
 
 /// Four sums side by side, then theirs.
@@ -384,6 +397,16 @@ mod tests {
         // There the hills lie 4 apart, and all strays but the outermost on strays.
         assert!(at(-4.0) < 0.9, "{}", at(-4.0));
         assert!(at(1000.0).is_nan());
+    }
+
+    #[test]
+    fn the_bell_is_that_of_the_exponential_function() {
+        for i in 0..160 {
+            let x = 0.1 * f64::from(i);
+            let expected = (-0.5 * x * x).exp();
+            assert!((bell(x) - expected).abs() < 2e-5 * expected.max(0.2), "{x}");
+            assert_eq!(bell(x), bell(-x));
+        }
     }
 
     #[test]
