@@ -26,7 +26,7 @@ use collect::{Count, Held, KNearest, Nearest, NearestElsewhere, Within};
 pub(crate) use follow::Follower;
 use general::General;
 pub use group::Places;
-pub(crate) use group::map_places;
+pub(crate) use group::{map_places, stride_through_tree};
 
 use crate::cloud::{Point, distance_sq};
 use crate::error::{Error, Result};
@@ -100,9 +100,9 @@ impl NeighborIndex {
         Places::of(&self.tree)
     }
 
-    /// One in `stride` of the groups of eight of [`NeighborIndex::places`], numbered anew.
-    pub(crate) fn some_places(&self, stride: usize) -> Places {
-        Places::of_some_groups(&self.tree, stride)
+    /// About `n_wanted` of [`NeighborIndex::places`], in groups of eight from everywhere, numbered anew.
+    pub(crate) fn some_places(&self, n_wanted: usize) -> Places {
+        Places::of_some_groups(&self.tree, n_wanted)
     }
 
     /// Number of points.
@@ -150,13 +150,13 @@ impl NeighborIndex {
         nearest.0.found().map(Neighbor::from)
     }
 
-    /// How far the nearest point that does not coincide with it lies from each of some points: one in `stride` of the
-    /// groups of eight that lie side by side. Of points that all coincide nothing.
+    /// How far the nearest point that does not coincide with it lies from each of about `n_wanted` points, in groups
+    /// of eight that lie side by side. Of points that all coincide nothing.
     ///
     /// # Errors
     /// [`Error::Cancelled`].
-    pub fn spacings_m(&self, stride: usize, progress: &Progress<'_>) -> Result<Vec<f64>> {
-        let places = self.some_places(stride);
+    pub fn spacings_m(&self, n_wanted: usize, progress: &Progress<'_>) -> Result<Vec<f64>> {
+        let places = self.some_places(n_wanted);
         let fresh = || NearestElsewhere(Nearest::within(f64::INFINITY));
         let spacings = self.map_collected(&places, fresh, progress, |nearest| {
             nearest.0.found().map(|held| held.distance_sq.sqrt())

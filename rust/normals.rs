@@ -153,7 +153,7 @@ fn usual_reach_m(index: &NeighborIndex, k: usize, progress: &Progress<'_>) -> Re
     const N_ASKED: usize = 1000;
     /// No point should stand on the rim, where rounding decides whether it counts.
     const BEYOND: f64 = 1.001;
-    let places = index.some_places(index.len().div_ceil(N_ASKED));
+    let places = index.some_places(N_ASKED);
     let reach_sq = |place: &Point, near: &[Point]| {
         near.iter()
             .map(|p| distance_sq(place, p))

@@ -48,8 +48,10 @@ pub fn rough_spacing_quantile_m(
     quantile: f64,
     progress: &Progress<'_>,
 ) -> Result<f64> {
-    let stride = index.len().div_ceil(SAMPLE_POINTS).max(1);
-    Ok(quantile_of(index.spacings_m(stride, progress)?, quantile))
+    Ok(quantile_of(
+        index.spacings_m(SAMPLE_POINTS, progress)?,
+        quantile,
+    ))
 }
 
 /// How far the nearest point at another position lies from each of at most `n` evenly strided points; of points that
@@ -129,6 +131,27 @@ mod tests {
         spacings.sort_by(f64::total_cmp);
         for (quantile, rank) in [(0.0, 0), (0.25, 200), (0.5, 400), (0.9, 720), (1.0, 800)] {
             assert_eq!(quantile_m(&points, quantile), spacings[rank]);
+        }
+    }
+
+    #[test]
+    fn the_rough_spacing_is_that_of_all_points_also_among_strays() {
+        // Level ground with three in ten points up to 40 above it: the tree parts what is high from what is low.
+        let mut stream = Stream::new(5, "rough spacing", 0);
+        for n in [20_000, 45_000, 160_000] {
+            let mut point = |i: usize| {
+                let height = if i % 10 < 3 { 40.0 } else { 0.01 };
+                [100.0, 100.0, height].map(|side| side * stream.uniform())
+            };
+            let points: Vec<Point> = (0..n).map(&mut point).collect();
+            let index = NeighborIndex::new(&points);
+            let silent = Progress::silent();
+            let all = strided_spacings_m(&index, n, &silent).unwrap();
+            for quantile in [0.5, 0.9] {
+                let rough = rough_spacing_quantile_m(&index, quantile, &silent).unwrap();
+                let ratio = rough / quantile_of(all.clone(), quantile);
+                assert!((0.94..1.06).contains(&ratio), "{n} {quantile} {ratio}");
+            }
         }
     }
 

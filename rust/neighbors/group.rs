@@ -178,6 +178,12 @@ pub struct Places {
     entries: Vec<Entry>,
 }
 
+/// One in so many of what stands in the order of a tree makes about `n_wanted` of all `n`. Odd, as a tree is one of
+/// powers of two: even strides meet the same children of all nodes, those above their siblings, say.
+pub(crate) fn stride_through_tree(n: usize, n_wanted: usize) -> usize {
+    n.div_ceil(n_wanted.max(1)) | 1
+}
+
 impl Places {
     /// Sorts a copy of `points`.
     pub fn new(points: &[Point]) -> Self {
@@ -212,9 +218,9 @@ impl Places {
         }
     }
 
-    /// One in `stride` of the groups of eight points that lie side by side in a tree, numbered anew.
-    pub(super) fn of_some_groups(tree: &Blocks, stride: usize) -> Self {
-        let groups = (0..tree.len()).step_by(stride.max(1) * WIDTH);
+    /// About `n_wanted` points in groups of eight that lie side by side in a tree, numbered anew.
+    pub(super) fn of_some_groups(tree: &Blocks, n_wanted: usize) -> Self {
+        let groups = (0..tree.len()).step_by(stride_through_tree(tree.len(), n_wanted) * WIDTH);
         let taken = groups.flat_map(|first| first..tree.len().min(first + WIDTH));
         let renumbered = taken.zip(0..).map(|(at, index)| Entry {
             index,
