@@ -13,6 +13,8 @@ use crate::progress::Progress;
 
 /// About so many points are looked at: quantiles change by about 1 % beyond.
 const SAMPLE_POINTS: usize = 10_000;
+/// And about so many where the order of the spacing does.
+const ROUGH_SAMPLE_POINTS: usize = 5000;
 
 /// The distance from a point to the nearest one at another position, as the `quantile` (0 to 1) of it over at most
 /// 10 000 evenly strided points. 0 where no two points differ in position.
@@ -49,7 +51,7 @@ pub fn rough_spacing_quantile_m(
     progress: &Progress<'_>,
 ) -> Result<f64> {
     Ok(quantile_of(
-        index.spacings_m(SAMPLE_POINTS, progress)?,
+        index.spacings_m(ROUGH_SAMPLE_POINTS, progress)?,
         quantile,
     ))
 }
