@@ -20,6 +20,8 @@ const NOBODY: u32 = u32::MAX;
 /// Cells along the edge of a block.
 const EDGE: usize = 8;
 const ROWS: usize = EDGE * EDGE;
+/// Where the centre of the last cell of a block lies, from that of the first.
+const LAST: f32 = EDGE as f32 - 1.0;
 /// A cell whose centre is this many cells from a point may still hold a query at the reach.
 const HALF_DIAGONAL: f64 = 0.867;
 
@@ -177,7 +179,6 @@ impl NearField {
 
     /// The points from which some cell of a block may be in reach, relative to the centre of its first cell.
     fn within_reach_of(&self, block: usize) -> Vec<Member> {
-        const LAST: f32 = EDGE as f32 - 1.0;
         let reach = self.reach_cells as f32;
         let n_round_about = self.round_about(block).map(|(_, members)| members.len());
         let mut near = Vec::with_capacity(n_round_about.sum());
@@ -238,7 +239,6 @@ fn least_keys(near: &[Member], reach: f32) -> [[u32; EDGE]; ROWS] {
 /// Enters a point into every cell of a block that it is nearer to than those before it.
 #[inline(always)]
 fn enter(p: [f32; 3], number: u32, reach: f32, keys: &mut [[u32; EDGE]; ROWS]) {
-    const LAST: f32 = EDGE as f32 - 1.0;
     // Rounded, which may take a row too many.
     let span = |axis: usize| {
         let (low, high) = ((p[axis] - reach).max(0.0), (p[axis] + reach).min(LAST));

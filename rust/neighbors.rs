@@ -26,7 +26,7 @@ use collect::{Count, Held, KNearest, Nearest, NearestElsewhere, Within};
 pub(crate) use follow::Follower;
 use general::General;
 pub use group::Places;
-pub(crate) use group::{map_places, stride_through_tree};
+pub(crate) use group::{map_places, some_through_tree};
 
 use crate::cloud::{Point, distance_sq};
 use crate::error::{Error, Result};

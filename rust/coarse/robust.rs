@@ -18,7 +18,7 @@ use crate::deadline::Deadline;
 use crate::error::{Error, Result, require_positive};
 use crate::fitness::{Agreement, Witnesses};
 use crate::freedom::Freedom;
-use crate::neighbors::stride_through_tree;
+use crate::neighbors::some_through_tree;
 use crate::observations::LocalObservations;
 use crate::progress::Progress;
 use crate::random::Stream;
@@ -174,8 +174,7 @@ pub fn search_robust(
 /// Whether the search in a cloud of these points, sorted so that those that follow each other lie side by side, is long
 /// from the first round on: there are many places where the other may belong.
 pub(crate) fn has_many_places(sorted: &[Point], unit_m: f64) -> bool {
-    let stride = stride_through_tree(sorted.len(), starts::N_TO_TELL_PLACES);
-    let some: Vec<Point> = sorted.iter().step_by(stride).copied().collect();
+    let some = some_through_tree(sorted, starts::N_TO_TELL_PLACES);
     starts::n_places(&some, unit_m) >= MANY_PLACES
 }
 

@@ -180,8 +180,14 @@ pub struct Places {
 
 /// One in so many of what stands in the order of a tree makes about `n_wanted` of all `n`. Odd, as a tree is one of
 /// powers of two: even strides meet the same children of all nodes, those above their siblings, say.
-pub(crate) fn stride_through_tree(n: usize, n_wanted: usize) -> usize {
+fn stride_through_tree(n: usize, n_wanted: usize) -> usize {
     n.div_ceil(n_wanted.max(1)) | 1
+}
+
+/// About `n_wanted` of points in the order of a tree, from everywhere.
+pub(crate) fn some_through_tree(sorted: &[Point], n_wanted: usize) -> Vec<Point> {
+    let stride = stride_through_tree(sorted.len(), n_wanted);
+    sorted.iter().step_by(stride).copied().collect()
 }
 
 impl Places {

@@ -10,7 +10,7 @@ use std::array;
 
 use crate::cloud::{Point, distance_sq, dot};
 use crate::error::Result;
-use crate::neighbors::{Block, Collector, NeighborIndex, Places, WIDTH, stride_through_tree};
+use crate::neighbors::{Block, Collector, NeighborIndex, Places, WIDTH, some_through_tree};
 use crate::normals::Symmetric;
 use crate::progress::Progress;
 use crate::similarity::Similarity;
@@ -62,8 +62,7 @@ pub(super) fn without_strays(
 /// [`crate::Error::Cancelled`].
 pub(super) fn share_of_strays(index: &NeighborIndex, progress: &Progress<'_>) -> Result<f64> {
     const N_ASKED: usize = 2000;
-    let stride = stride_through_tree(index.len(), N_ASKED);
-    let asked: Vec<Point> = index.points().iter().step_by(stride).copied().collect();
+    let asked = some_through_tree(index.points(), N_ASKED);
     let is_kept = lie_on_surface(index, &asked, progress)?;
     let n_strays = is_kept.iter().filter(|is_kept| !**is_kept).count();
     Ok(n_strays as f64 / is_kept.len().max(1) as f64)
