@@ -26,12 +26,14 @@ const DEPTH: f64 = 0.017;
 const NEAR: f64 = 0.01;
 /// Patches within this distance are averaged: neighbours err alike, and not so far.
 const REGION_RADIUS: f64 = 0.07;
-/// So many places near the other cloud are looked at.
-const N_PLACES: usize = 600;
+/// One place is looked at in each cell of this edge, near the other cloud: they lie evenly, and what is found
+/// hardly depends on which they are.
+const PLACE_CELL: f64 = 0.02;
 /// Fewer points in a patch tell nothing, nor do patches at fewer of the places: where points are few, they are
-/// those on steps and bends.
+/// those on steps and bends. Nor do fewer patches round about, of the 38 that a flat region has.
 const LEAST_POINTS: usize = 10;
-const LEAST_PATCHES: usize = N_PLACES / 4;
+const LEAST_EVEN: f64 = 0.25;
+const LEAST_ROUND_ABOUT: usize = 12;
 
 /// A patch of both clouds, in the fixed one's frame.
 #[derive(Clone, Copy)]
@@ -44,8 +46,8 @@ struct Patch {
 
 /// How far apart even surfaces of both clouds lie at `pose` (fixed from moving), their noise averaged out, in the
 /// unit of the fixed cloud: the distance along the normal, averaged round about each patch, that nine tenths
-/// of the patches stay below. NaN where hardly any surface near the other cloud is even: in a canopy, in a
-/// cloud of few points. `unit_m` is the extent of the smaller cloud.
+/// of the patches stay below. NaN where hardly any surface near the other cloud is even, or nowhere much of it: in a
+/// canopy, in a cloud of few points. `unit_m` is the extent of the smaller cloud.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`].
@@ -60,33 +62,58 @@ pub fn surface_offset_m(
     const QUANTILE: f64 = 0.9;
     /// Normals of patches that are averaged agree within 37°.
     const MIN_COSINE: f64 = 0.8;
-    let patches = even_patches(moving, fixed, pose, unit_m, progress)?;
-    if patches.len() < LEAST_PATCHES {
+    let places = places_near(moving, fixed, pose, unit_m);
+    let patches = even_patches(&places, moving, fixed, pose, unit_m, progress)?;
+    if (patches.len() as f64) < LEAST_EVEN * places.len() as f64 {
         return Ok(f64::NAN);
     }
     let places: Vec<Point> = patches.iter().map(|patch| patch.place).collect();
     let index = NeighborIndex::new(&places);
-    let mut means_m = parallel::map(patches.len(), |i| {
+    let means_m = parallel::map(patches.len(), |i| {
         let patch = &patches[i];
-        let (mut n, mut sum_m) = (0.0, 0.0);
+        let (mut n, mut sum_m) = (0, 0.0);
         let mut round_about = Vec::new();
         index.within(&patch.place, REGION_RADIUS * unit_m, &mut round_about);
         for neighbor in round_about {
             let other = &patches[neighbor.index as usize];
             let cosine = dot(&patch.normal, &other.normal);
             if cosine.abs() > MIN_COSINE {
-                n += 1.0;
+                n += 1;
                 sum_m += other.apart_m * cosine.signum();
             }
         }
-        f64::abs(sum_m / n)
+        (n >= LEAST_ROUND_ABOUT).then(|| f64::abs(sum_m / n as f64))
     });
+    let mut means_m: Vec<f64> = means_m.into_iter().flatten().collect();
+    if means_m.is_empty() {
+        return Ok(f64::NAN);
+    }
     let at = ((means_m.len() - 1) as f64 * QUANTILE) as usize;
     Ok(*means_m.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
+/// Points of the fixed cloud, one for each cell, that have a point of the other one near.
+fn places_near(
+    moving: &SurfaceCloud,
+    fixed: &SurfaceCloud,
+    pose: &Similarity,
+    unit_m: f64,
+) -> Vec<Point> {
+    let to_moving = pose.inverse();
+    let near_m = NEAR * to_moving.scale * unit_m;
+    let places = fixed.one_for_each_cell(PLACE_CELL * unit_m);
+    let is_near = parallel::map(places.len(), |i| {
+        let moved = to_moving.apply(&places[i]);
+        moving.is_near_box(&moved, near_m)
+            && (moving.index.nearest_within(&moved, near_m * near_m)).is_some()
+    });
+    let near = places.into_iter().zip(is_near).filter(|(_, is)| *is);
+    near.map(|(place, _)| place).collect()
+}
+
 /// Patches where both clouds show a surface that is even and of one direction.
 fn even_patches(
+    places: &[Point],
     moving: &SurfaceCloud,
     fixed: &SurfaceCloud,
     pose: &Similarity,
@@ -101,23 +128,13 @@ fn even_patches(
     let to_moving = pose.inverse();
     // The unit as the moving cloud's frame has it.
     let (scale, moving_unit_m) = (to_moving.scale, to_moving.scale * unit_m);
-    let near_m = NEAR * moving_unit_m;
-    let is_near = |i: &&u32| {
-        let moved = to_moving.apply(&fixed.points()[**i as usize]);
-        moving.is_near_box(&moved, near_m)
-            && (moving.index.nearest_within(&moved, near_m * near_m)).is_some()
-    };
-    let drawn = fixed.drawn(fixed.len()).iter();
-    let mut numbers: Vec<u32> = drawn.filter(is_near).take(N_PLACES).copied().collect();
-    numbers.sort_unstable();
-    let places = fixed.points_of(&numbers);
     let moved: Vec<Point> = places.iter().map(|p| to_moving.apply(p)).collect();
     let surfaces = |cloud: &SurfaceCloud, places: &[Point], unit_m: f64| {
         let radius_m = NORMAL_RADIUS * unit_m;
         estimate_within(places, &cloud.index, radius_m, LEAST_POINTS, progress)
     };
     let (theirs, own) = parallel::both(
-        || surfaces(fixed, &places, unit_m),
+        || surfaces(fixed, places, unit_m),
         || surfaces(moving, &moved, moving_unit_m),
     );
     let (theirs, own) = (theirs?, own?);
@@ -214,6 +231,39 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn which_points_are_looked_at_matters_little() {
+        // Lumps as wide as a region, as photogrammetry has them.
+        let lumpy: Vec<Point> = waves(30_000, 0.0, 0.004, 1)
+            .iter()
+            .map(|p| {
+                [
+                    p[0],
+                    p[1],
+                    p[2] + 0.004 * (40.0 * p[0]).sin() * (35.0 * p[1]).sin(),
+                ]
+            })
+            .collect();
+        // Half of the points stand on a fourth of the area.
+        let uneven: Vec<Point> = waves(40_000, 0.0, 0.002, 2)
+            .into_iter()
+            .enumerate()
+            .filter(|(i, p)| p[0] < 0.25 || i % 3 == 0)
+            .map(|(_, p)| p)
+            .collect();
+        let of_seed = |seed: u64| {
+            let cloud = |points: &[Point]| {
+                SurfaceCloud::new(&Cloud::new(points).unwrap(), seed, &Progress::silent()).unwrap()
+            };
+            let (moving, fixed) = (cloud(&lumpy), cloud(&uneven));
+            let pose = as_drawn(&moving, &fixed);
+            surface_offset_m(&moving, &fixed, &pose, UNIT_M, &Progress::silent()).unwrap()
+        };
+        let mut found_m: Vec<f64> = (0..8).map(of_seed).collect();
+        found_m.sort_unstable_by(f64::total_cmp);
+        assert!(found_m[7] < 1.2 * found_m[0], "{found_m:?}");
     }
 
     #[test]
