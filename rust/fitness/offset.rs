@@ -27,16 +27,13 @@ const NEAR: f64 = 0.01;
 /// Patches within this distance are averaged: neighbours err alike, and not so far.
 const REGION_RADIUS: f64 = 0.07;
 /// One place is looked at in each cell of this edge, near the other cloud: they lie evenly, and what is found
-/// depends little on which they are. Less still by smaller cells, four times as many, where that decides: what
-/// is found within this part of the limit may lie on either side of it.
+/// hardly depends on which they are.
 const PLACE_CELL: f64 = 0.02;
-const CLOSE_PLACE_CELL: f64 = 0.01;
-const DOUBTFUL: f64 = 0.25;
 /// Fewer points in a patch tell nothing, nor do patches at fewer of the places: where points are few, they are
-/// those on steps and bends. Nor do fewer patches round about, of those that a flat region has.
+/// those on steps and bends. Nor do fewer patches round about, of the 38 that a flat region has.
 const LEAST_POINTS: usize = 10;
 const LEAST_EVEN: f64 = 0.25;
-const LEAST_ROUND_ABOUT: f64 = 0.3;
+const LEAST_ROUND_ABOUT: usize = 12;
 
 /// A patch of both clouds, in the fixed one's frame.
 #[derive(Clone, Copy)]
@@ -50,36 +47,11 @@ struct Patch {
 /// How far apart even surfaces of both clouds lie at `pose` (fixed from moving), their noise averaged out, in the
 /// unit of the fixed cloud: the distance along the normal, averaged round about each patch, that nine tenths
 /// of the patches stay below. NaN where hardly any surface near the other cloud is even, or nowhere much of it: in a
-/// canopy, in a cloud of few points. `unit_m` is the extent of the smaller cloud, `limit_m` what it will be held
-/// against: close to it more places are looked at.
+/// canopy, in a cloud of few points. `unit_m` is the extent of the smaller cloud.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`].
 pub fn surface_offset_m(
-    moving: &SurfaceCloud,
-    fixed: &SurfaceCloud,
-    pose: &Similarity,
-    unit_m: f64,
-    limit_m: f64,
-    progress: &Progress<'_>,
-) -> Result<f64> {
-    let by_cells = |cell| by_cells(cell, moving, fixed, pose, unit_m, progress);
-    let found_m = by_cells(PLACE_CELL)?;
-    if (found_m / limit_m - 1.0).abs() > DOUBTFUL || found_m.is_nan() {
-        return Ok(found_m);
-    }
-    // Of few points smaller cells may leave no region.
-    let closely_m = by_cells(CLOSE_PLACE_CELL)?;
-    Ok(if closely_m.is_nan() {
-        found_m
-    } else {
-        closely_m
-    })
-}
-
-/// The same by one place for each cell of edge `cell`, by the unit.
-fn by_cells(
-    cell: f64,
     moving: &SurfaceCloud,
     fixed: &SurfaceCloud,
     pose: &Similarity,
@@ -90,9 +62,7 @@ fn by_cells(
     const QUANTILE: f64 = 0.9;
     /// Normals of patches that are averaged agree within 37°.
     const MIN_COSINE: f64 = 0.8;
-    let least_round_about =
-        LEAST_ROUND_ABOUT * std::f64::consts::PI * (REGION_RADIUS / cell).powi(2);
-    let places = places_near(cell, moving, fixed, pose, unit_m);
+    let places = places_near(moving, fixed, pose, unit_m);
     let patches = even_patches(&places, moving, fixed, pose, unit_m, progress)?;
     if (patches.len() as f64) < LEAST_EVEN * places.len() as f64 {
         return Ok(f64::NAN);
@@ -101,18 +71,18 @@ fn by_cells(
     let index = NeighborIndex::new(&places);
     let means_m = parallel::map(patches.len(), |i| {
         let patch = &patches[i];
-        let (mut n, mut sum_m) = (0.0, 0.0);
+        let (mut n, mut sum_m) = (0, 0.0);
         let mut round_about = Vec::new();
         index.within(&patch.place, REGION_RADIUS * unit_m, &mut round_about);
         for neighbor in round_about {
             let other = &patches[neighbor.index as usize];
             let cosine = dot(&patch.normal, &other.normal);
             if cosine.abs() > MIN_COSINE {
-                n += 1.0;
+                n += 1;
                 sum_m += other.apart_m * cosine.signum();
             }
         }
-        (n >= least_round_about).then(|| f64::abs(sum_m / n))
+        (n >= LEAST_ROUND_ABOUT).then(|| f64::abs(sum_m / n as f64))
     });
     let mut means_m: Vec<f64> = means_m.into_iter().flatten().collect();
     if means_m.is_empty() {
@@ -124,7 +94,6 @@ fn by_cells(
 
 /// Points of the fixed cloud, one for each cell, that have a point of the other one near.
 fn places_near(
-    cell: f64,
     moving: &SurfaceCloud,
     fixed: &SurfaceCloud,
     pose: &Similarity,
@@ -132,7 +101,7 @@ fn places_near(
 ) -> Vec<Point> {
     let to_moving = pose.inverse();
     let near_m = NEAR * to_moving.scale * unit_m;
-    let places = fixed.one_for_each_cell(cell * unit_m);
+    let places = fixed.one_for_each_cell(PLACE_CELL * unit_m);
     let is_near = parallel::map(places.len(), |i| {
         let moved = to_moving.apply(&places[i]);
         moving.is_near_box(&moved, near_m)
@@ -217,8 +186,6 @@ mod tests {
 
     /// The extent of a cloud of edge 1, about.
     const UNIT_M: f64 = 1.4;
-    /// A limit that nothing comes near.
-    const FAR_M: f64 = 1.0;
 
     fn surface_cloud(points: &[Point]) -> SurfaceCloud {
         SurfaceCloud::new(&Cloud::new(points).unwrap(), 0, &Progress::silent()).unwrap()
@@ -244,7 +211,7 @@ mod tests {
     fn offset_m(moving: &[Point], fixed: &[Point]) -> f64 {
         let (moving, fixed) = (surface_cloud(moving), surface_cloud(fixed));
         let pose = as_drawn(&moving, &fixed);
-        surface_offset_m(&moving, &fixed, &pose, UNIT_M, FAR_M, &Progress::silent()).unwrap()
+        surface_offset_m(&moving, &fixed, &pose, UNIT_M, &Progress::silent()).unwrap()
     }
 
     #[test]
@@ -286,20 +253,17 @@ mod tests {
             .filter(|(i, p)| p[0] < 0.25 || i % 3 == 0)
             .map(|(_, p)| p)
             .collect();
-        let of_seed = |seed: u64, limit_m: f64| {
+        let of_seed = |seed: u64| {
             let cloud = |points: &[Point]| {
                 SurfaceCloud::new(&Cloud::new(points).unwrap(), seed, &Progress::silent()).unwrap()
             };
             let (moving, fixed) = (cloud(&lumpy), cloud(&uneven));
             let pose = as_drawn(&moving, &fixed);
-            surface_offset_m(&moving, &fixed, &pose, UNIT_M, limit_m, &Progress::silent()).unwrap()
+            surface_offset_m(&moving, &fixed, &pose, UNIT_M, &Progress::silent()).unwrap()
         };
-        // Near the limit it matters less.
-        for (limit_m, most) in [(FAR_M, 1.2), (0.00052, 1.1)] {
-            let mut found_m: Vec<f64> = (0..8).map(|seed| of_seed(seed, limit_m)).collect();
-            found_m.sort_unstable_by(f64::total_cmp);
-            assert!(found_m[7] < most * found_m[0], "{limit_m}: {found_m:?}");
-        }
+        let mut found_m: Vec<f64> = (0..8).map(of_seed).collect();
+        found_m.sort_unstable_by(f64::total_cmp);
+        assert!(found_m[7] < 1.2 * found_m[0], "{found_m:?}");
     }
 
     #[test]
@@ -312,7 +276,7 @@ mod tests {
             ..Similarity::identity()
         };
         let pose = grown.between_local_coordinates(moving.origin, fixed.origin);
-        let found_m = surface_offset_m(&moving, &fixed, &pose, UNIT_M, FAR_M, &Progress::silent());
+        let found_m = surface_offset_m(&moving, &fixed, &pose, UNIT_M, &Progress::silent());
         assert!((0.0055..0.0065).contains(&found_m.unwrap()));
     }
 

@@ -77,9 +77,8 @@ pub(super) fn brought_to_rest(
         true => (icp.target_from_source, after, icp.uncertainty.take()),
         false => (*coarse_pose, before, None),
     };
-    let unit_m = prepared.thinned.unit_m;
-    let limit_m = unit_m * config.verdict.most_surface_offset(agreed.conflict_share);
-    let offset_m = || fitness::surface_offset_m(source, target, &pose, unit_m, limit_m, progress);
+    let offset_m =
+        || fitness::surface_offset_m(source, target, &pose, prepared.thinned.unit_m, progress);
     let ((forth, back), (surface_offset_m, held_out_ratio)) = parallel::both(
         || supports([source, target], &pose, max_distance_m, progress),
         || parallel::both(offset_m, || held_out_ratio(prepared, &pose, max_distance_m)),
