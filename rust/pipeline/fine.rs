@@ -35,9 +35,13 @@ pub(super) struct Fine {
 impl Fine {
     /// Whether even surfaces lie farther apart than the verdict accepts.
     pub(super) fn lies_apart(&self, prepared: &Prepared, config: &Config) -> bool {
-        let conflict_share = self.agreed.conflict_share;
-        self.surface_offset_m
-            > prepared.thinned.unit_m * config.verdict.most_surface_offset(conflict_share)
+        let Agreement {
+            conflict_share,
+            misfit,
+            ..
+        } = self.agreed;
+        let most = config.verdict.most_surface_offset(conflict_share, misfit);
+        self.surface_offset_m > prepared.thinned.unit_m * most
     }
 }
 

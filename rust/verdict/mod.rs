@@ -250,7 +250,8 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
             ),
         );
     }
-    let most_m = options.most_surface_offset(evidence.conflict_share) * evidence.extent_m;
+    let most_m =
+        evidence.extent_m * options.most_surface_offset(evidence.conflict_share, evidence.misfit);
     if evidence.surface_offset_m > most_m {
         lower(
             Verdict::Review,
@@ -364,7 +365,7 @@ mod tests {
                     ..good()
                 },
                 Verdict::Review,
-                "even surfaces lie 0.050 m apart, and not by their noise; up to 0.026 m are accepted",
+                "even surfaces lie 0.050 m apart, and not by their noise; up to 0.022 m are accepted",
             ),
             (
                 Evidence {

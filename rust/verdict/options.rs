@@ -30,7 +30,8 @@ pub struct VerdictOptions {
     /// surface, in 0 to 1.
     pub accept_conflict_share: f64,
     /// Accept only where even surfaces lie at most so far apart once their noise is averaged out, as a share of
-    /// the extent of the smaller cloud, times (1 − conflict share)²; above 0.
+    /// the extent of the smaller cloud; less where surfaces conflict or misfit: times (1 − conflict share), divided
+    /// by the misfit where that is above 1. Above 0.
     pub accept_surface_offset: f64,
     /// Accept only up to so many standard deviations from what was known of the pose; above 0.
     pub accept_deviation_from_known: f64,
@@ -52,7 +53,7 @@ impl Default for VerdictOptions {
             accept_held_out_ratio: 1.5,
             accept_misfit: 1.3,
             accept_conflict_share: 0.15,
-            accept_surface_offset: 0.00133,
+            accept_surface_offset: 0.0011,
             accept_deviation_from_known: 3.0,
             reject_inlier_share: 0.20,
             reject_ambiguity_ratio: 1.10,
@@ -62,9 +63,11 @@ impl Default for VerdictOptions {
 
 impl VerdictOptions {
     /// How far apart even surfaces may lie, as a share of the extent. Patches too far apart to be compared count
-    /// as conflicts: the more of these, the less of what is off is left among the others.
-    pub(crate) fn most_surface_offset(&self, conflict_share: f64) -> f64 {
-        self.accept_surface_offset * (1.0 - conflict_share).powi(2)
+    /// as conflicts: the more of these, the less of what is off is left among the others. What is even lies
+    /// closer than all the rest; a misfit tells of that.
+    pub(crate) fn most_surface_offset(&self, conflict_share: f64, misfit: f64) -> f64 {
+        // The larger of 1 and NaN is 1.
+        self.accept_surface_offset * (1.0 - conflict_share) / misfit.max(1.0)
     }
 
     pub(crate) fn check(&self) -> Result<()> {

@@ -52,6 +52,6 @@ def test_strays_that_draw_surfaces_apart_are_left_out_of_the_fit() -> None:
     assert found.verdict == "accepted", found.reasons
     # Once with them, and once without.
     assert [stage.name for stage in found.stages].count("icp") == 2
-    assert found.surface_offset < 0.5 * 0.00133 * found.extent
+    assert found.surface_offset < 0.0006 * found.extent
     off_m = np.linalg.norm(found.apply(source) - there, axis=1).max()
     assert off_m < 0.2 * found.voxel_size

@@ -208,7 +208,7 @@ def evidence(document: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
             "Offset of the surfaces",
             "within which distance nine tenths of even surface lie once their noise is averaged out",
             document["surface_offset"],
-            limits["accept_surface_offset"] * (1 - document["conflict_share"]) ** 2 * document["extent"],
+            _most_surface_offset(document),
             lambda value: length(value, unit, 2),
             most=True,
         ),
@@ -259,6 +259,13 @@ def _check(
         "limit": f"{side} {say(limit)}",
         "passed": passed,
     }
+
+
+def _most_surface_offset(document: Mapping[str, Any]) -> float:
+    """Return how far even surfaces may lie apart: less where surfaces conflict or misfit."""
+    misfit = document["misfit"]
+    most = document["config"]["verdict"]["accept_surface_offset"] * document["extent"]
+    return float(most * (1 - document["conflict_share"]) / (1 if misfit is None else max(1, misfit)))
 
 
 def _times(value: float | None) -> str:
