@@ -365,7 +365,17 @@ mod tests {
                     ..good()
                 },
                 Verdict::Review,
-                "even surfaces lie 0.050 m apart, and not by their noise; up to 0.022 m are accepted",
+                "even surfaces lie 0.050 m apart, and not by their noise; up to 0.025 m are accepted",
+            ),
+            // As far apart as they are rough.
+            (
+                Evidence {
+                    surface_offset_m: 0.024,
+                    misfit: 1.0,
+                    ..good()
+                },
+                Verdict::Review,
+                "even surfaces lie 0.024 m apart, and not by their noise; up to 0.019 m are accepted",
             ),
             (
                 Evidence {

@@ -30,8 +30,8 @@ pub struct VerdictOptions {
     /// surface, in 0 to 1.
     pub accept_conflict_share: f64,
     /// Accept only where even surfaces lie at most so far apart once their noise is averaged out, as a share of
-    /// the extent of the smaller cloud; less where surfaces conflict or misfit: times (1 − conflict share), divided
-    /// by the misfit where that is above 1. Above 0.
+    /// the extent of the smaller cloud, times (1 − conflict share), and times 0.75 by the misfit where that is
+    /// above 0.75. Above 0.
     pub accept_surface_offset: f64,
     /// Accept only up to so many standard deviations from what was known of the pose; above 0.
     pub accept_deviation_from_known: f64,
@@ -53,7 +53,7 @@ impl Default for VerdictOptions {
             accept_held_out_ratio: 1.5,
             accept_misfit: 1.3,
             accept_conflict_share: 0.15,
-            accept_surface_offset: 0.0011,
+            accept_surface_offset: 0.00127,
             accept_deviation_from_known: 3.0,
             reject_inlier_share: 0.20,
             reject_ambiguity_ratio: 1.10,
@@ -63,11 +63,13 @@ impl Default for VerdictOptions {
 
 impl VerdictOptions {
     /// How far apart even surfaces may lie, as a share of the extent. Patches too far apart to be compared count
-    /// as conflicts: the more of these, the less of what is off is left among the others. What is even lies
-    /// closer than all the rest; a misfit tells of that.
+    /// as conflicts: the more of these, the less of what is off is left among the others. And surfaces that lie as
+    /// far apart as they are rough may be others than those that lie much closer, as a room that is bent a little
+    /// does. But not ever closer: it may be strays that are rough.
     pub(crate) fn most_surface_offset(&self, conflict_share: f64, misfit: f64) -> f64 {
-        // The larger of 1 and NaN is 1.
-        self.accept_surface_offset * (1.0 - conflict_share) / misfit.max(1.0)
+        const CLOSE: f64 = 0.75;
+        // The larger of a number and NaN is the number.
+        self.accept_surface_offset * (1.0 - conflict_share) * CLOSE / misfit.max(CLOSE)
     }
 
     pub(crate) fn check(&self) -> Result<()> {

@@ -262,10 +262,10 @@ def _check(
 
 
 def _most_surface_offset(document: Mapping[str, Any]) -> float:
-    """Return how far even surfaces may lie apart: less where surfaces conflict or misfit."""
-    misfit = document["misfit"]
+    """Return how far even surfaces may lie apart: less where they conflict, or do not lie close."""
+    misfit = max(0.75, document["misfit"] or 0)
     most = document["config"]["verdict"]["accept_surface_offset"] * document["extent"]
-    return float(most * (1 - document["conflict_share"]) / (1 if misfit is None else max(1, misfit)))
+    return float(most * (1 - document["conflict_share"]) * 0.75 / misfit)
 
 
 def _times(value: float | None) -> str:
