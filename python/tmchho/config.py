@@ -236,8 +236,8 @@ class VerdictOptions:
         surface, 0 to 1.
     accept_surface_offset : float, optional
         Accept only where even surfaces lie at most so far apart once their noise is averaged out, as a share
-        of the extent of the smaller cloud, times (1 - conflict share), and times 0.75 by the misfit where that
-        is above 0.75. Above 0.
+        of the extent of the smaller cloud, times (1 - conflict share), and times 0.75 by the misfit where
+        that is above 0.75. Above 0.
     accept_deviation_from_known : float, optional
         Accept only up to so many standard deviations from the prior and the control points, above 0.
     """

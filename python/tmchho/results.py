@@ -155,7 +155,8 @@ class Registration(ReadOnlyArrays):
     overlap_of_source, overlap_of_target : float
         Share of the points of the one cloud, at full density, within `max_distance` of the other.
     inlier_share : float
-        Surface of both clouds with a partner and an agreeing normal, by twice that of the smaller cloud, 0 to 1.
+        Surface of both clouds with a partner and an agreeing normal, by twice that of the smaller cloud,
+        0 to 1.
     ambiguity_ratio : float
         Score of the best pose by that of its best rival; infinite without a rival, NaN in paper mode.
     strength : float

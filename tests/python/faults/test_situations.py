@@ -200,13 +200,13 @@ def test_a_header_without_points_is_refused_by_name(faults: Faults, tmp_path: Pa
 
 
 def test_settings_that_no_json_can_hold_are_named() -> None:
-    for config, words in (
+    for config, told in (
         ({"n_threads": np.nan}, "n_threads must be a finite number, got nan"),
         ({"voxel": {"voxel_size_m": np.inf}}, r"voxel\.voxel_size_m must be a finite number, got inf"),
         ({"scale_bounds": [0.5, np.float32(np.inf)]}, "scale_bounds must be a finite number, got inf"),
         ({"voxel": tmchho.VoxelOptions(voxel_size_m=-np.inf)}, r"voxel\.voxel_size_m must .* got -inf"),
     ):
-        with pytest.raises(InvalidArgumentError, match=words):
+        with pytest.raises(InvalidArgumentError, match=told):
             tmchho.register(np.eye(4, 3), np.eye(4, 3), config=config)
 
 
