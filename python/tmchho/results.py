@@ -179,8 +179,8 @@ class Registration(ReadOnlyArrays):
         The share of inliers, less what conflicts with it: times (1 - `conflict_share`)⁴.
     surface_offset : float
         How far even surfaces lie apart once their noise is averaged out: distances along the normal between
-        patches of both clouds (those of M3C2), averaged over regions; what nine tenths of them stay below.
-        NaN where hardly any surface is even, or points are too few.
+        patches of both clouds (those of M3C2), averaged over regions, less what noise adds to the average;
+        what nine tenths of them stay below. NaN where hardly any surface is even, or points are too few.
     extent : float
         Extent of the smaller cloud, 2.4 times the radius that holds 99.5 % of its points. Lengths that are
         not given are derived from it.

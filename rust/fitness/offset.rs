@@ -46,8 +46,8 @@ struct Patch {
 
 /// How far apart even surfaces of both clouds lie at `pose` (fixed from moving), their noise averaged out, in the
 /// unit of the fixed cloud: the distance along the normal, averaged round about each patch and less what noise adds
-/// to the average, that nine tenths of the patches stay below. NaN where hardly any surface near the other cloud is even, or nowhere much of it: in a
-/// canopy, in a cloud of few points. `unit_m` is the extent of the smaller cloud.
+/// to the average, that nine tenths of the patches stay below. NaN where hardly any surface near the other cloud is
+/// even, or nowhere much of it: in a canopy, in a cloud of few points. `unit_m` is the extent of the smaller cloud.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`].

@@ -35,12 +35,8 @@ pub(super) struct Fine {
 impl Fine {
     /// Whether even surfaces lie farther apart than the verdict accepts.
     pub(super) fn lies_apart(&self, prepared: &Prepared, config: &Config) -> bool {
-        let Agreement {
-            conflict_share,
-            misfit,
-            ..
-        } = self.agreed;
-        let most = config.verdict.most_surface_offset(conflict_share, misfit);
+        let agreed = &self.agreed;
+        let most = (config.verdict).most_surface_offset(agreed.conflict_share, agreed.misfit);
         self.surface_offset_m > prepared.thinned.unit_m * most
     }
 }

@@ -63,9 +63,9 @@ impl Default for VerdictOptions {
 
 impl VerdictOptions {
     /// How far apart even surfaces may lie, as a share of the extent. Patches too far apart to be compared count
-    /// as conflicts: the more of these, the less of what is off is left among the others. And surfaces that lie as
-    /// far apart as they are rough may be others than those that lie much closer, as a room that is bent a little
-    /// does. But not ever closer: it may be strays that are rough.
+    /// as conflicts: the more of these, the less of what is off is left among the others. Noise hides another place
+    /// where surfaces lie about as far apart as they are rough; one that is bent a little lies much closer. Below
+    /// 0.75 nothing more is granted: strays alone make a cloud rough.
     pub(crate) fn most_surface_offset(&self, conflict_share: f64, misfit: f64) -> f64 {
         const CLOSE: f64 = 0.75;
         // The larger of a number and NaN is the number.
