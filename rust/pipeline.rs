@@ -247,34 +247,32 @@ fn route(
     });
     let lead_over_chance = found.candidates[0].score / found.chance_score;
     let target_from_source = prepared.pose_to_given(&pose);
-    let mut judgement = judge(
-        &Evidence {
-            inlier_share: agreed.inlier_share,
-            ambiguity_ratio: found.ambiguity_ratio,
-            rival: candidates.get(1).map(|(rival, _)| {
-                let middle = prepared.source_pivot();
-                Rival::between(&target_from_source, rival, &middle)
-            }),
-            strength,
-            weakest_error,
-            lead_over_chance,
-            held_out_ratio: fine.held_out_ratio,
-            misfit: agreed.misfit,
-            conflict_share: agreed.conflict_share,
-            net_share: agreed.net_share(),
-            surface_offset_m: fine.surface_offset_m,
-            extent_m: prepared.thinned.unit_m,
-            deviation_from_known: match known.n_observed() {
-                0 => f64::NAN,
-                n => (known.chi_squared(&pose) / n as f64).sqrt(),
-            },
-            scale_at_bound: config.dof == Freedom::Similarity
-                && is_at_bound(target_from_source.scale, &config.scale_bounds),
-            ended_early: found.ended_early,
-            converged: fine.icp.stop_reason == IcpStop::Converged,
+    let evidence = Evidence {
+        inlier_share: agreed.inlier_share,
+        ambiguity_ratio: found.ambiguity_ratio,
+        rival: candidates.get(1).map(|(rival, _)| {
+            let middle = prepared.source_pivot();
+            Rival::between(&target_from_source, rival, &middle)
+        }),
+        strength,
+        weakest_error,
+        lead_over_chance,
+        held_out_ratio: fine.held_out_ratio,
+        misfit: agreed.misfit,
+        conflict_share: agreed.conflict_share,
+        net_share: agreed.net_share(),
+        surface_offset_m: fine.surface_offset_m,
+        extent_m: prepared.thinned.unit_m,
+        deviation_from_known: match known.n_observed() {
+            0 => f64::NAN,
+            n => (known.chi_squared(&pose) / n as f64).sqrt(),
         },
-        &config.verdict,
-    );
+        scale_at_bound: config.dof == Freedom::Similarity
+            && is_at_bound(target_from_source.scale, &config.scale_bounds),
+        ended_early: found.ended_early,
+        converged: fine.icp.stop_reason == IcpStop::Converged,
+    };
+    let mut judgement = judge(&evidence, &config.verdict);
     if rests_on_strays {
         judgement.doubt(vec![ON_STRAYS.into()]);
     }
@@ -325,6 +323,7 @@ fn route(
         overlap_of_target: share_within(&target_to_source, max_distance_m),
         inlier_share: agreed.inlier_share,
         ambiguity_ratio: found.ambiguity_ratio,
+        least_ambiguity_ratio: evidence.least_ambiguity_ratio(&config.verdict),
         strength,
         candidates,
         lead_over_chance,
@@ -333,6 +332,7 @@ fn route(
         conflict_share: agreed.conflict_share,
         net_share: agreed.net_share(),
         surface_offset_m: fine.surface_offset_m,
+        most_surface_offset_m: evidence.most_surface_offset_m(&config.verdict),
         extent_m: prepared.thinned.unit_m,
         ended_early: found.ended_early,
         uncertainty: fine.uncertainty,

@@ -59,6 +59,8 @@ pub struct Registration {
     pub inlier_share: f64,
     /// Score of the best pose by the score of its best rival; NaN in paper mode.
     pub ambiguity_ratio: f64,
+    /// The ambiguity ratio above which this pose is accepted; infinite where nothing is shared.
+    pub least_ambiguity_ratio: f64,
     /// How firmly the common surface holds the pose.
     pub strength: Strength,
     /// Score of the best pose by the best that a few random poses reach; NaN in paper mode.
@@ -76,6 +78,8 @@ pub struct Registration {
     /// How far even surfaces lie apart once their noise is averaged out; NaN where hardly any is even, or points
     /// are too few.
     pub surface_offset_m: f64,
+    /// The surface offset up to which this pose is accepted.
+    pub most_surface_offset_m: f64,
     /// Extent of the smaller cloud, which lengths that are not given are derived from.
     pub extent_m: f64,
     /// Whether the time was up before the search was done.

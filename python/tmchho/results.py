@@ -159,6 +159,9 @@ class Registration(ReadOnlyArrays):
         0 to 1.
     ambiguity_ratio : float
         Score of the best pose by that of its best rival; infinite without a rival, NaN in paper mode.
+    least_ambiguity_ratio : float
+        Above this ratio the pose is accepted: `verdict.accept_ambiguity_ratio`, or more where the clouds
+        share little; infinite where they share nothing.
     strength : float
         How firmly the weakest direction is held: 0 (slides freely) to about 1/6.
     weakest_direction : str
@@ -181,6 +184,9 @@ class Registration(ReadOnlyArrays):
         How far even surfaces lie apart once their noise is averaged out: distances along the normal between
         patches of both clouds (those of M3C2), averaged over regions, less what noise adds to the average;
         what nine tenths of them stay below. NaN where hardly any surface is even, or points are too few.
+    most_surface_offset : float
+        Up to this offset the pose is accepted: `verdict.accept_surface_offset` times `extent`, or less where
+        surfaces conflict, or lie about as far apart as they are rough.
     extent : float
         Extent of the smaller cloud, 2.4 times the radius that holds 99.5 % of its points. Lengths that are
         not given are derived from it.
@@ -258,6 +264,7 @@ class Registration(ReadOnlyArrays):
     overlap_of_target: float
     inlier_share: float
     ambiguity_ratio: float
+    least_ambiguity_ratio: float
     strength: float
     weakest_direction: str
     lead_over_chance: float
@@ -266,6 +273,7 @@ class Registration(ReadOnlyArrays):
     conflict_share: float
     net_share: float
     surface_offset: float
+    most_surface_offset: float
     extent: float
     registration_error: float | None
     scale_standard_error: float | None

@@ -83,6 +83,25 @@ pub struct Evidence {
     pub converged: bool,
 }
 
+impl Evidence {
+    /// The ambiguity ratio above which the pose is accepted: the less the clouds share, and the more of that
+    /// conflicts, the clearer the lead must be. Infinite where they share nothing.
+    pub fn least_ambiguity_ratio(&self, options: &VerdictOptions) -> f64 {
+        let product = options.accept_share_times_ratio / counted(self.net_share);
+        options.accept_ambiguity_ratio.max(product)
+    }
+
+    /// The surface offset up to which the pose is accepted: less where surfaces conflict, or do not lie close.
+    pub fn most_surface_offset_m(&self, options: &VerdictOptions) -> f64 {
+        self.extent_m * options.most_surface_offset(self.conflict_share, self.misfit)
+    }
+}
+
+/// What could not be counted counts as nothing.
+fn counted(value: f64) -> f64 {
+    if value.is_nan() { 0.0 } else { value }
+}
+
 /// The verdict with its reasons, the weightiest first.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judgement {
@@ -145,13 +164,9 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
         }
         reasons.push(reason);
     };
-    // What could not be counted counts as nothing.
-    let counted = |value: f64| if value.is_nan() { 0.0 } else { value };
     let share = counted(evidence.inlier_share);
     let ratio = evidence.ambiguity_ratio;
-    let needed_ratio = options
-        .accept_ambiguity_ratio
-        .max(options.accept_share_times_ratio / counted(evidence.net_share));
+    let least_ratio = evidence.least_ambiguity_ratio(options);
     if share < options.reject_inlier_share {
         lower(
             Verdict::Rejected,
@@ -194,11 +209,11 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
                 Rival::words(evidence.rival.as_ref())
             ),
         );
-    } else if ratio <= needed_ratio && share >= options.reject_inlier_share {
+    } else if ratio <= least_ratio && share >= options.reject_inlier_share {
         lower(
             Verdict::Review,
             format!(
-                "the best pose scores {ratio:.2} times the next one{}; {needed_ratio:.2} times are \
+                "the best pose scores {ratio:.2} times the next one{}; {least_ratio:.2} times are \
                  asked for where {:.0} % of the smaller cloud match",
                 Rival::words(evidence.rival.as_ref()),
                 100.0 * share
@@ -250,8 +265,7 @@ pub fn judge(evidence: &Evidence, options: &VerdictOptions) -> Judgement {
             ),
         );
     }
-    let most_m =
-        evidence.extent_m * options.most_surface_offset(evidence.conflict_share, evidence.misfit);
+    let most_m = evidence.most_surface_offset_m(options);
     if evidence.surface_offset_m > most_m {
         lower(
             Verdict::Review,

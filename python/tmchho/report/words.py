@@ -153,16 +153,13 @@ def evidence(document: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
     ``passed`` is None where nothing was measured.
     """
     limits = document["config"]["verdict"]
-    share, net_share = document["inlier_share"], document["net_share"]
-    product = limits["accept_share_times_ratio"] / net_share if net_share else math.inf
-    needed = max(limits["accept_ambiguity_ratio"], product)
-    ratio = document["ambiguity_ratio"]
+    ratio, least_ratio = document["ambiguity_ratio"], document["least_ambiguity_ratio"]
     no_rival = ratio is None and document["mode"] == "robust"
     rows = [
         _check(
             "Matching surface",
             "share of the smaller cloud that finds surface with the same direction in the other",
-            share,
+            document["inlier_share"],
             limits["accept_inlier_share"],
             percent,
         ),
@@ -170,8 +167,8 @@ def evidence(document: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
             "name": "Lead over the next best position",
             "words": "how many times better the position fits than any clearly different one that was found",
             "value": "no other was found" if no_rival else _times(ratio),
-            "limit": f"above {needed:.2f} times" if math.isfinite(needed) else "—",
-            "passed": True if no_rival else None if ratio is None else ratio > needed,
+            "limit": "—" if least_ratio is None else f"above {least_ratio:.2f} times",
+            "passed": True if no_rival else None if ratio is None else ratio > (least_ratio or math.inf),
         },
         _check(
             "Lead over chance",
@@ -208,7 +205,7 @@ def evidence(document: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
             "Offset of the surfaces",
             "within which distance nine tenths of even surface lie once their noise is averaged out",
             document["surface_offset"],
-            _most_surface_offset(document),
+            document["most_surface_offset"],
             lambda value: length(value, unit, 2),
             most=True,
         ),
@@ -259,13 +256,6 @@ def _check(
         "limit": f"{side} {say(limit)}",
         "passed": passed,
     }
-
-
-def _most_surface_offset(document: Mapping[str, Any]) -> float:
-    """Return how far even surfaces may lie apart: less where they conflict, or do not lie close."""
-    misfit = max(0.75, document["misfit"] or 0)
-    most = document["config"]["verdict"]["accept_surface_offset"] * document["extent"]
-    return float(most * (1 - document["conflict_share"]) * 0.75 / misfit)
 
 
 def _times(value: float | None) -> str:

@@ -119,12 +119,32 @@ def test_a_dam_of_the_same_plan_is_another_dam_also_where_noise_hides_it() -> No
     found = tmchho.register(source, target, seed=3)
     assert found.verdict != "accepted"
     assert found.misfit < 1.3  # by their roughness the surfaces might be one
-    told = f"even surfaces lie {found.surface_offset:.3f} m apart, and not by their noise; up to "
-    (most,) = (reason.removeprefix(told).split()[0] for reason in found.reasons if reason.startswith(told))
+    limits = found.config["verdict"]
+    most = limits["accept_surface_offset"] * found.extent * (1 - found.conflict_share)
+    assert found.most_surface_offset == pytest.approx(most * 0.75 / max(found.misfit, 0.75))
+    assert any(
+        f"even surfaces lie {found.surface_offset:.3f} m apart, and not by their noise; up to "
+        f"{found.most_surface_offset:.3f} m are accepted" in reason
+        for reason in found.reasons
+    )
     # The report holds it against the same limit.
     rows = {row["name"]: row for row in words.evidence(found.to_dict(), "m")}
-    assert words.length(float(most), "m", 2) in rows["Offset of the surfaces"]["limit"]
+    assert words.length(found.most_surface_offset, "m", 2) in rows["Offset of the surfaces"]["limit"]
     assert not rows["Offset of the surfaces"]["passed"]
+
+
+def test_the_less_two_clouds_share_the_clearer_the_lead_must_be(clouds: tuple[Floats, Floats]) -> None:
+    source, target = clouds
+    end = target[target[:, 0] > 38]
+    leasts = []
+    for found in (tmchho.register(source, target), tmchho.register(away(end), source)):
+        limits = found.config["verdict"]
+        least = max(limits["accept_ambiguity_ratio"], limits["accept_share_times_ratio"] / found.net_share)
+        assert found.least_ambiguity_ratio == pytest.approx(least)
+        leasts.append(least)
+        rows = {row["name"]: row for row in words.evidence(found.to_dict(), "m")}
+        assert f"{least:.2f} times" in rows["Lead over the next best position"]["limit"]
+    assert leasts[0] == 2.0 < leasts[1]
 
 
 def test_a_tenth_in_common_is_never_accepted_elsewhere() -> None:
