@@ -22,7 +22,7 @@ use std::sync::OnceLock;
 pub(crate) use blocks::{Block, WIDTH, sum_of_squares};
 use blocks::{Blocks, greater};
 pub(crate) use collect::{Collector, reach_of};
-use collect::{Count, Held, KNearest, Nearest, NearestElsewhere, Within};
+use collect::{Count, KNearest, Nearest, NearestElsewhere, Within};
 pub(crate) use follow::Follower;
 use general::General;
 pub use group::Places;
@@ -330,10 +330,25 @@ impl NeighborIndex {
         progress: &Progress<'_>,
         answer: impl Fn(&Point, &[Point]) -> T + Sync + Send,
     ) -> Result<Vec<T>> {
+        self.map_groups_of_k_nearest(places, k, progress, |first, near, answers| {
+            let places = (first..).map(|at| places.point(at));
+            answers.extend((places.zip(near)).map(|(place, near)| answer(place, near)));
+        })
+    }
+
+    /// The same of up to eight places at a time: `answer` is given the number of the first of them in `places`, the
+    /// points nearest to each, and where to put the answers.
+    pub(crate) fn map_groups_of_k_nearest<T: Copy + Send + Sync>(
+        &self,
+        places: &Places,
+        k: usize,
+        progress: &Progress<'_>,
+        answer: impl Fn(usize, &[Vec<Point>], &mut Vec<T>) + Sync + Send,
+    ) -> Result<Vec<T>> {
         /// How much farther, squared, the k-th point may be than those of the places before.
         const MARGIN: f64 = 1.3;
         struct Scratch {
-            points: Vec<Point>,
+            near: [Vec<Point>; WIDTH],
             /// Squared distance within which the k nearest are guessed to lie.
             guess_sq: f64,
             /// The farthest k-th point of this group.
@@ -341,7 +356,7 @@ impl NeighborIndex {
         }
         let scratch = || {
             let scratch = Scratch {
-                points: Vec::new(),
+                near: Default::default(),
                 guess_sq: f64::MAX,
                 farthest_sq: 0.0,
             };
@@ -354,17 +369,23 @@ impl NeighborIndex {
             }
             nearest.restart(k, scratch.guess_sq);
         };
-        let end = |scratch: &mut Scratch, nearest: &mut KNearest, at: usize| {
-            if !nearest.is_complete() {
-                nearest.restart(k, f64::MAX);
-                self.tree.ask(places.point(at), nearest);
+        let end = |scratch: &mut Scratch, some: &mut [KNearest], first, answers: &mut Vec<T>| {
+            for (lane, nearest) in some.iter_mut().enumerate() {
+                let place = places.point(first + lane);
+                if !nearest.is_complete() {
+                    nearest.restart(k, f64::MAX);
+                    self.tree.ask(place, nearest);
+                }
+                nearest.finish();
+                scratch.farthest_sq = greater(nearest.reach_sq(), scratch.farthest_sq);
+                // In the tree they lie side by side.
+                scratch.near[lane].clear();
+                let found = nearest.found.iter();
+                scratch.near[lane].extend(found.map(|held| self.tree.point(held.slot)));
             }
-            nearest.finish();
-            scratch.farthest_sq = greater(nearest.reach_sq(), scratch.farthest_sq);
-            let found = self.points_at(&nearest.found, &mut scratch.points);
-            answer(places.point(at), found)
+            answer(first, &scratch.near[..some.len()], answers);
         };
-        self.tree.ask_all(places, progress, scratch, begin, end)
+        self.tree.ask_groups(places, progress, scratch, begin, end)
     }
 
     /// What `answer` makes of the indices of the points at most `radius_m` from each of `places`, told also which
@@ -388,13 +409,6 @@ impl NeighborIndex {
                 answer(places.given(at), indices)
             },
         )
-    }
-
-    /// Where the points that were found stand: in the tree they lie side by side.
-    fn points_at<'a>(&self, found: &[Held], points: &'a mut Vec<Point>) -> &'a [Point] {
-        points.clear();
-        points.extend(found.iter().map(|held| self.tree.point(held.slot)));
-        points
     }
 
     /// What `answer` makes of a collector of the caller's that saw the blocks near each of `places`.

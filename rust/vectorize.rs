@@ -7,12 +7,26 @@
 //! are computed at once, and a multiplication and an addition are never joined into one.
 
 use fearless_simd::{Level, dispatch};
+pub(crate) use fearless_simd::{Simd, f64x8 as Eight, mask64x8 as Mask, prelude};
 
 /// What `work` gives. It and all that it calls in its loops has to be marked `#[inline(always)]`: what is
 /// called is compiled for the oldest machines.
 #[inline(always)]
 pub(crate) fn widest<R>(work: impl FnOnce() -> R) -> R {
     dispatch!(Level::new(), _ => work())
+}
+
+/// Work that is written in [`Eight`] numbers at a time, where the compiler does not find the loops that it could make
+/// of it by itself. What it calls has to be marked `#[inline(always)]`.
+pub(crate) trait InEights {
+    type Answer;
+    fn run<S: Simd>(self, machine: S) -> Self::Answer;
+}
+
+/// What `work` gives, in the widest instructions of the machine.
+#[inline(always)]
+pub(crate) fn in_eights<W: InEights>(work: W) -> W::Answer {
+    dispatch!(Level::new(), machine => work.run(machine))
 }
 
 #[cfg(test)]

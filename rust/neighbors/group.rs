@@ -130,6 +130,24 @@ impl Blocks {
         begin: impl Fn(&mut S, &mut C, usize) + Sync + Send,
         end: impl Fn(&mut S, &mut C, usize) -> T + Sync + Send,
     ) -> Result<Vec<T>> {
+        let end_each = |scratch: &mut S, some: &mut [C], first: usize, results: &mut Vec<T>| {
+            for (collector, at) in some.iter_mut().zip(first..) {
+                results.push(end(scratch, collector, at));
+            }
+        };
+        self.ask_groups(places, progress, scratch, begin, end_each)
+    }
+
+    /// The same, but `end` is given the collectors of a group, the number of its first place, and where what comes
+    /// back of each is put.
+    pub(super) fn ask_groups<C: Collector, S, T: Copy + Send + Sync>(
+        &self,
+        places: &Places,
+        progress: &Progress<'_>,
+        scratch: impl Fn() -> (S, [C; WIDTH]) + Sync + Send,
+        begin: impl Fn(&mut S, &mut C, usize) + Sync + Send,
+        end: impl Fn(&mut S, &mut [C], usize, &mut Vec<T>) + Sync + Send,
+    ) -> Result<Vec<T>> {
         let chunks = parallel::chunks(places.len(), progress, |range| {
             let (mut scratch, mut collectors) = scratch();
             let mut results = Vec::with_capacity(range.len());
@@ -143,9 +161,12 @@ impl Blocks {
                     begin(&mut scratch, collector, at);
                 }
                 self.ask_group(&group, &mut collectors);
-                for (collector, at) in collectors.iter_mut().zip(some) {
-                    results.push(end(&mut scratch, collector, at));
-                }
+                end(
+                    &mut scratch,
+                    &mut collectors[..some.len()],
+                    first,
+                    &mut results,
+                );
             }
             results
         })?;

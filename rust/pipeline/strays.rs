@@ -6,32 +6,21 @@
 //! do not lie on the surface that most of what stands there lies on.
 //! Source: ours; planes by iteratively reweighted least squares; measured in docs/robust_search.md.
 
-use std::array;
+mod plane;
 
-use crate::cloud::{Point, distance_sq, dot};
+use plane::lie_on_planes;
+
+use crate::cloud::Point;
 use crate::error::Result;
 use crate::neighbors::{Block, Collector, NeighborIndex, Places, WIDTH, some_through_tree};
-use crate::normals::Symmetric;
 use crate::progress::Progress;
 use crate::similarity::Similarity;
 use crate::surface_cloud::SurfaceCloud;
-use crate::vectorize::widest;
 
 /// Points are counted within so many voxels.
 const RADIUS_IN_VOXELS: f64 = 2.0;
 /// A stray has less than this share of the points round about that half of all points have.
 const LEAST_SHARE: f64 = 0.25;
-
-/// Voxels round about that tell what surface there is, the voxel itself among them. All lengths below are
-/// shares of the distance of the farthest.
-const N_NEAR: usize = 16;
-/// How far off the plane a voxel still pulls at it, step by step.
-const PULLS: [f64; 6] = [1.0, 0.5, 0.25, 0.125, 0.125, 0.125];
-/// What lies within this of the plane is the surface, of which there has to be so much,
-const IN_SURFACE: f64 = 0.19;
-const LEAST_IN_SURFACE: f64 = 0.5;
-/// and a voxel that is no stray lies within this.
-const ON_SURFACE: f64 = 0.1;
 
 /// The numbers of the voxels that are not those of strays, rising; each voxel stands for so many points.
 ///
@@ -48,7 +37,7 @@ pub(super) fn without_strays(
         .map(|i| voxels.points()[*i as usize])
         .collect();
     let index = NeighborIndex::new(&points);
-    let is_kept = index.map_k_nearest(&index.places(), N_NEAR, progress, is_on_surface)?;
+    let is_kept = lie_on_planes(&index, &index.places(), progress)?;
     let kept = dense.into_iter().zip(is_kept);
     Ok(kept
         .filter_map(|(i, is_kept)| is_kept.then_some(i))
@@ -63,18 +52,9 @@ pub(super) fn without_strays(
 pub(super) fn share_of_strays(index: &NeighborIndex, progress: &Progress<'_>) -> Result<f64> {
     const N_ASKED: usize = 2000;
     let asked = some_through_tree(index.points(), N_ASKED);
-    let is_kept = lie_on_surface(index, &asked, progress)?;
+    let is_kept = lie_on_planes(index, &Places::new(&asked), progress)?;
     let n_strays = is_kept.iter().filter(|is_kept| !**is_kept).count();
     Ok(n_strays as f64 / is_kept.len().max(1) as f64)
-}
-
-/// Which of some points of a cloud lie on the surface that most of what stands round them lies on.
-fn lie_on_surface(
-    index: &NeighborIndex,
-    points: &[Point],
-    progress: &Progress<'_>,
-) -> Result<Vec<bool>> {
-    index.map_k_nearest(&Places::new(points), N_NEAR, progress, is_on_surface)
 }
 
 /// How often the partner of a point on a surface of `from`, its nearest of `to` and at most so far away, lies on a
@@ -101,8 +81,8 @@ pub(super) fn surfaces_on_surfaces(
     };
     let pairs = from.drawn(from.len()).iter().filter_map(pair);
     let (own, theirs): (Vec<Point>, Vec<Point>) = pairs.take(N_PAIRS).unzip();
-    let own = lie_on_surface(&from.index, &own, progress)?;
-    let theirs = lie_on_surface(&to.index, &theirs, progress)?;
+    let own = lie_on_planes(&from.index, &Places::new(&own), progress)?;
+    let theirs = lie_on_planes(&to.index, &Places::new(&theirs), progress)?;
     let of_surfaces = own.iter().zip(&theirs).filter(|(own, _)| **own);
     let n_surfaces = of_surfaces.clone().count();
     let n_on_surfaces = of_surfaces.filter(|(_, theirs)| **theirs).count();
@@ -116,12 +96,17 @@ fn where_many_stand(
     voxel_size_m: f64,
     progress: &Progress<'_>,
 ) -> Result<Vec<u32>> {
+    let places = voxels.places();
+    let mut in_blocks = vec![[0; WIDTH]; places.len().div_ceil(WIDTH)];
+    for at in 0..places.len() {
+        in_blocks[at / WIDTH][at % WIDTH] = n_points[places.given(at)];
+    }
     let fresh = || PointsWithin {
         radius_sq: (RADIUS_IN_VOXELS * voxel_size_m).powi(2),
-        n_points,
+        in_blocks: &in_blocks,
         sum: 0,
     };
-    let n_near = voxels.map_collected(&voxels.places(), fresh, progress, |near| near.sum)?;
+    let n_near = voxels.map_collected(&places, fresh, progress, |near| near.sum)?;
     let least = LEAST_SHARE * half_of_all_have(&n_near, n_points) as f64;
     let numbers = (0..).zip(&n_near);
     Ok(numbers
@@ -133,7 +118,8 @@ fn where_many_stand(
 #[derive(Clone)]
 struct PointsWithin<'a> {
     radius_sq: f64,
-    n_points: &'a [u32],
+    /// Of each voxel, in the blocks of the tree.
+    in_blocks: &'a [[u32; WIDTH]],
     sum: u64,
 }
 
@@ -144,127 +130,14 @@ impl Collector for PointsWithin<'_> {
     }
 
     #[inline(always)]
-    fn take(&mut self, place: &Point, block: &Block, _: usize) -> bool {
+    fn take(&mut self, place: &Point, block: &Block, number: usize) -> bool {
         let distances_sq = block.distances_sq(place);
-        for lane in (0..WIDTH).filter(|lane| distances_sq[*lane] <= self.radius_sq) {
-            self.sum += u64::from(self.n_points[block.indices[lane] as usize]);
+        // No branch: which voxels are near, a processor cannot guess.
+        for (distance_sq, n) in distances_sq.iter().zip(&self.in_blocks[number]) {
+            self.sum += u64::from(*distance_sq <= self.radius_sq) * u64::from(*n);
         }
         false
     }
-}
-
-/// Whether `own`, one of the points that stand `near`, lies on the plane that most of them lie on; true where
-/// they tell no plane.
-fn is_on_surface(own: &Point, near: &[Point]) -> bool {
-    let reach_m = (near.iter().map(|p| distance_sq(own, p)).fold(0.0, f64::max)).sqrt();
-    if reach_m == 0.0 {
-        return true;
-    }
-    widest(
-        #[inline(always)]
-        || Neighborhood::new(own, near, reach_m).is_middle_on_plane(),
-    )
-}
-
-/// One number for each of the points round about.
-type Lanes = [f64; N_NEAR];
-
-/// Points about one of them, in shares of the distance of the farthest. Where there are fewer than lanes, those left
-/// over weigh nothing.
-struct Neighborhood {
-    axes: [Lanes; 3],
-    n: usize,
-}
-
-impl Neighborhood {
-    #[inline(always)]
-    fn new(own: &Point, near: &[Point], reach_m: f64) -> Self {
-        let mut axes = [[0.0; N_NEAR]; 3];
-        for (lane, p) in near.iter().enumerate() {
-            for axis in 0..3 {
-                axes[axis][lane] = (p[axis] - own[axis]) / reach_m;
-            }
-        }
-        let n = near.len();
-        Self { axes, n }
-    }
-
-    #[inline(always)]
-    fn is_middle_on_plane(&self) -> bool {
-        let is_there: Lanes = array::from_fn(|lane| f64::from(u8::from(lane < self.n)));
-        let (mut weights, mut off, mut own_off) = (is_there, [0.0; N_NEAR], 0.0);
-        for pull in PULLS {
-            let (middle, scatter) = self.moments(&weights);
-            let Some((normal, _)) = scatter.least() else {
-                return true;
-            };
-            let [x, y, z] = &self.axes;
-            let of_middle = dot(&normal, &middle);
-            for lane in 0..N_NEAR {
-                let along = normal[0] * x[lane] + normal[1] * y[lane] + normal[2] * z[lane];
-                off[lane] = (along - of_middle).abs();
-            }
-            own_off = of_middle.abs();
-            if off.iter().all(|off| *off < ON_SURFACE) {
-                // Where nobody stands off it, there is no other plane to be drawn to.
-                return true;
-            }
-            for lane in 0..N_NEAR {
-                weights[lane] = is_there[lane] * bell(off[lane] / pull);
-            }
-        }
-        let n_in = off[..self.n].iter().filter(|off| **off < IN_SURFACE);
-        own_off < ON_SURFACE && n_in.count() as f64 > LEAST_IN_SURFACE * self.n as f64
-    }
-
-    /// The middle of the points, each counting by its weight, and their scatter about it.
-    #[inline(always)]
-    fn moments(&self, weights: &Lanes) -> (Point, Symmetric) {
-        let [x, y, z] = &self.axes;
-        let weighed = |of: &Lanes| -> Lanes { array::from_fn(|lane| weights[lane] * of[lane]) };
-        let [by_x, by_y, by_z] = [weighed(x), weighed(y), weighed(z)];
-        let total = sum(weights);
-        let middle = [&by_x, &by_y, &by_z].map(|of| sum(of) / total);
-        let about_middle = |by: &Lanes, of: &Lanes, a: usize, b: usize| {
-            sum(&array::from_fn(|lane| by[lane] * of[lane])) - total * middle[a] * middle[b]
-        };
-        let diagonal = [
-            about_middle(&by_x, x, 0, 0),
-            about_middle(&by_y, y, 1, 1),
-            about_middle(&by_z, z, 2, 2),
-        ];
-        let off_diagonal = [
-            about_middle(&by_y, z, 1, 2),
-            about_middle(&by_x, z, 0, 2),
-            about_middle(&by_x, y, 0, 1),
-        ];
-        (middle, Symmetric::new(diagonal, off_diagonal))
-    }
-}
-
-/// exp(−x²/2) for |x| up to 16, to 2·10⁻⁵ of it where it is above a tenth: by multiplications alone, which lanes
-/// do side by side.
-#[inline(always)]
-fn bell(x: f64) -> f64 {
-    const DOUBLINGS: i32 = 8;
-    let part = 0.5 * x * x / f64::from(1 << DOUBLINGS);
-    let mut power = 1.0 - part + 0.5 * part * part;
-    for _ in 0..DOUBLINGS {
-        power *= power;
-    }
-    power
-}
-
-/// Four sums side by side, then theirs.
-#[inline(always)]
-fn sum(of: &Lanes) -> f64 {
-    let mut sums = [0.0; 4];
-    for four in of.chunks_exact(4) {
-        for (sum, v) in sums.iter_mut().zip(four) {
-            *sum += v;
-        }
-    }
-    (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
 /// The median over the points of the cloud of how many stand round about; 0 for no voxels.
@@ -396,16 +269,6 @@ mod tests {
         // There the hills lie 4 apart, and all strays but the outermost on strays.
         assert!(at(-4.0) < 0.9, "{}", at(-4.0));
         assert!(at(1000.0).is_nan());
-    }
-
-    #[test]
-    fn the_bell_is_that_of_the_exponential_function() {
-        for i in 0..160 {
-            let x = 0.1 * f64::from(i);
-            let expected = (-0.5 * x * x).exp();
-            assert!((bell(x) - expected).abs() < 2e-5 * expected.max(0.2), "{x}");
-            assert_eq!(bell(x), bell(-x));
-        }
     }
 
     #[test]
