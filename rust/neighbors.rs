@@ -331,8 +331,8 @@ impl NeighborIndex {
         answer: impl Fn(&Point, &[Point]) -> T + Sync + Send,
     ) -> Result<Vec<T>> {
         self.map_groups_of_k_nearest(places, k, progress, |first, near, answers| {
-            let places = (first..).map(|at| places.point(at));
-            answers.extend((places.zip(near)).map(|(place, near)| answer(place, near)));
+            let numbered = (first..).zip(near);
+            answers.extend(numbered.map(|(at, near)| answer(places.point(at), near)));
         })
     }
 
