@@ -87,24 +87,32 @@ impl PairSums {
     /// assert!((found.rotation - pose.rotation).amax() < 1e-14);
     /// ```
     pub fn solve_levelled(&self) -> Option<Rigid> {
+        self.solve_about(&Vector3::z(), &Matrix3::identity())
+    }
+
+    /// The best transform that turns by `first`, and then about `axis` (a unit vector) alone; no second turn where the
+    /// pairs leave it open.
+    pub(crate) fn solve_about(&self, axis: &Vector3<f64>, first: &Matrix3<f64>) -> Option<Rigid> {
         let pairs = self.centred()?;
-        let c = &pairs.covariance;
-        let (cosine, sine) = (c[(0, 0)] + c[(1, 1)], c[(1, 0)] - c[(0, 1)]);
+        let c = pairs.covariance * first.transpose();
+        let along = axis * axis.transpose();
+        let across = Matrix3::identity() - along;
+        let spin = Vector3::new(
+            c[(2, 1)] - c[(1, 2)],
+            c[(0, 2)] - c[(2, 0)],
+            c[(1, 0)] - c[(0, 1)],
+        );
+        let (cosine, sine) = (c.dot(&across), spin.dot(axis));
         let length = cosine.hypot(sine);
-        if !(length + c[(2, 2)]).is_finite() {
+        if !(length + c.sum()).is_finite() {
             return None;
         }
         let (cosine, sine) = match length > 0.0 {
             true => (cosine / length, sine / length),
             false => (1.0, 0.0),
         };
-        #[rustfmt::skip]
-        let rotation = Matrix3::new(
-            cosine, -sine, 0.0,
-            sine, cosine, 0.0,
-            0.0, 0.0, 1.0,
-        );
-        Some(pairs.turned_by(rotation))
+        let turn = along + across * cosine + axis.cross_matrix() * sine;
+        Some(pairs.turned_by(turn * first))
     }
 
     /// The best transform with a scale; `None` also where either side stands on one point.

@@ -91,10 +91,21 @@ impl PlaneSums {
     /// assert!((step.rotation[(1, 0)] + 0.01).abs() < 1e-6 && step.rotation[(2, 2)] == 1.0);
     /// ```
     pub fn solve_levelled(&self) -> Option<Rigid> {
-        let (information, gradient) = (self.information(), &self.gradient);
-        let part = SMatrix::<f64, 4, 4>::from_fn(|r, c| information[(r + 2, c + 2)]);
-        let step = damped_step(part, SVector::from_fn(|r, _| gradient[r + 2]), 1, 3)?;
-        Some(rigid_step([0.0, 0.0, step[0]], [step[1], step[2], step[3]]))
+        self.solve_about(&Vector3::z())
+    }
+
+    /// The same, turning about `axis` (a unit vector) only.
+    pub(crate) fn solve_about(&self, axis: &Vector3<f64>) -> Option<Rigid> {
+        let mut free = SMatrix::<f64, 6, 4>::zeros();
+        free.fixed_view_mut::<3, 1>(0, 0).copy_from(axis);
+        free.fixed_view_mut::<3, 3>(3, 1).fill_with_identity();
+        let part = free.transpose() * self.information() * free;
+        let gradient = free.transpose() * SVector::from(self.gradient);
+        let step = damped_step(part, gradient, 1, 3)?;
+        Some(rigid_step(
+            (axis * step[0]).into(),
+            [step[1], step[2], step[3]],
+        ))
     }
 }
 

@@ -1,5 +1,8 @@
 //! From a start into the nearest basin: truncated ICP steps on grids that know nearest points.
 
+use nalgebra::Matrix3;
+
+use super::motion::Motion;
 use crate::cloud::{Point, distance_sq};
 use crate::distance_field::NearestGrid;
 use crate::freedom::Freedom;
@@ -51,9 +54,10 @@ pub(super) fn to_points(
     points: &[Point],
     grid: &NearestGrid,
     start: Rigid,
-    freedom: Freedom,
+    motion: Motion,
     truncation: Shrinking,
 ) -> Rigid {
+    let no_turn = Matrix3::identity();
     let mut pose = start;
     for step in 0..truncation.n_steps {
         let max_sq = truncation.at(step).powi(2);
@@ -71,9 +75,12 @@ pub(super) fn to_points(
                 sums.add(p, partner, f64::from(u8::from(is_near)));
             }
         }
-        let better = match freedom {
-            Freedom::Levelled => sums.solve_levelled(),
-            Freedom::Rigid | Freedom::Similarity => sums.solve(),
+        let better = match motion {
+            Motion::Free(Freedom::Levelled) => sums.solve_levelled(),
+            Motion::Free(Freedom::Rigid | Freedom::Similarity) => sums.solve(),
+            Motion::Upright(uprights) => {
+                sums.solve_about(&uprights.up(), &uprights.rotation(&no_turn))
+            }
         };
         match better {
             Some(better) => pose = better,
@@ -113,21 +120,35 @@ pub(super) fn to_planes(
     surfaces: &[Surface],
     fixed: Fixed<'_>,
     start: Similarity,
-    freedom: Freedom,
+    motion: Motion,
     truncation: Shrinking,
 ) -> (Similarity, usize) {
-    match freedom {
-        Freedom::Levelled => slide::<Levelled>(points, surfaces, fixed, start, truncation),
-        Freedom::Rigid => slide::<PlaneSums>(points, surfaces, fixed, start, truncation),
-        Freedom::Similarity => slide::<ScaledPlaneSums>(points, surfaces, fixed, start, truncation),
+    let moving = (points, surfaces);
+    let rigid = |step: Option<Rigid>| step.map(Similarity::from);
+    match motion {
+        Motion::Free(Freedom::Levelled) => {
+            slide(moving, fixed, start, truncation, |s: &PlaneSums| {
+                rigid(s.solve_levelled())
+            })
+        }
+        Motion::Free(Freedom::Rigid) => slide(moving, fixed, start, truncation, |s: &PlaneSums| {
+            rigid(s.solve())
+        }),
+        Motion::Free(Freedom::Similarity) => {
+            slide(moving, fixed, start, truncation, |s: &ScaledPlaneSums| {
+                s.solve(Freedom::Similarity)
+            })
+        }
+        Motion::Upright(uprights) => slide(moving, fixed, start, truncation, |s: &PlaneSums| {
+            rigid(s.solve_about(&uprights.up()))
+        }),
     }
 }
 
-/// What a step is solved from, by degrees of freedom.
+/// What a step is solved from, with a scale or without.
 trait StepSums: Default + Send {
     fn add(&mut self, moved: &Point, partner: &Point, normal: &Point);
     fn merge(&mut self, other: &Self);
-    fn step(&self) -> Option<Similarity>;
 }
 
 impl StepSums for PlaneSums {
@@ -138,28 +159,6 @@ impl StepSums for PlaneSums {
 
     fn merge(&mut self, other: &Self) {
         self.merge(other);
-    }
-
-    fn step(&self) -> Option<Similarity> {
-        self.solve().map(Similarity::from)
-    }
-}
-
-#[derive(Default)]
-struct Levelled(PlaneSums);
-
-impl StepSums for Levelled {
-    #[inline]
-    fn add(&mut self, moved: &Point, partner: &Point, normal: &Point) {
-        self.0.add(moved, partner, normal, 1.0);
-    }
-
-    fn merge(&mut self, other: &Self) {
-        self.0.merge(&other.0);
-    }
-
-    fn step(&self) -> Option<Similarity> {
-        self.0.solve_levelled().map(Similarity::from)
     }
 }
 
@@ -172,18 +171,14 @@ impl StepSums for ScaledPlaneSums {
     fn merge(&mut self, other: &Self) {
         self.merge(other);
     }
-
-    fn step(&self) -> Option<Similarity> {
-        self.solve(Freedom::Similarity)
-    }
 }
 
 fn slide<S: StepSums>(
-    points: &[Point],
-    surfaces: &[Surface],
+    (points, surfaces): (&[Point], &[Surface]),
     fixed: Fixed<'_>,
     start: Similarity,
     truncation: Shrinking,
+    solve: impl Fn(&S) -> Option<Similarity>,
 ) -> (Similarity, usize) {
     let (mut pose, mut n_made) = (start, 0);
     let (mut step, last) = (0, truncation.n_steps - 1);
@@ -212,7 +207,7 @@ fn slide<S: StepSums>(
         let (mut sums, others) =
             parallel::both(|| sums_of(first, of_first), || sums_of(second, of_second));
         sums.merge(&others);
-        let Some(Similarity { scale, rigid }) = sums.step() else {
+        let Some(Similarity { scale, rigid }) = solve(&sums) else {
             break;
         };
         // pose ← shift(middle) · step · shift(−middle) · pose; the pose's translation is `middle`.
@@ -289,7 +284,7 @@ pub(super) mod tests {
                 surfaces,
                 fixed,
                 start.into(),
-                Freedom::Rigid,
+                Motion::Free(Freedom::Rigid),
                 truncation,
             )
         };

@@ -1,13 +1,13 @@
 //! From thousands of starts to a few hundred basins: quick descents of few points.
 
 use super::descent::{self, Shrinking};
+use super::motion::Motion;
 use super::{differ_rigid, without_points};
 use crate::cloud::Point;
 use crate::deadline::Deadline;
 use crate::distance_field::NearestGrid;
 use crate::error::Result;
 use crate::fitness::lies_off;
-use crate::freedom::Freedom;
 use crate::parallel;
 use crate::progress::Progress;
 use crate::rigid::Rigid;
@@ -48,29 +48,29 @@ const SAME_BASIN: f64 = 0.03;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Descents {
     /// What the steps may change.
-    pub(super) freedom: Freedom,
+    pub(super) motion: Motion,
     /// Poses that go on to the second descent.
     n_shortlist: usize,
 }
 
 impl Descents {
-    pub(super) fn of_fewest(freedom: Freedom) -> Self {
+    pub(super) fn of_fewest(motion: Motion) -> Self {
         Self {
-            freedom,
+            motion,
             n_shortlist: 75,
         }
     }
 
-    pub(super) fn of_few(freedom: Freedom) -> Self {
+    pub(super) fn of_few(motion: Motion) -> Self {
         Self {
-            freedom,
+            motion,
             n_shortlist: 300,
         }
     }
 
-    pub(super) fn of_many(freedom: Freedom) -> Self {
+    pub(super) fn of_many(motion: Motion) -> Self {
         Self {
-            freedom,
+            motion,
             n_shortlist: 1000,
         }
     }
@@ -119,7 +119,7 @@ impl<'a> Explorer<'a> {
         deadline: Deadline,
         progress: &Progress<'_>,
     ) -> Result<(Vec<Rigid>, usize)> {
-        let (unit_m, freedom, grid) = (self.unit_m, descents.freedom, &self.fixed_grid);
+        let (unit_m, motion, grid) = (self.unit_m, descents.motion, &self.fixed_grid);
         let points = &self.samples;
         let n_first = N_FIRST.min(points.len());
         let n_samples = points.len() / n_first;
@@ -128,7 +128,7 @@ impl<'a> Explorer<'a> {
             // Every start looks at other points, so that no unlucky sample spoils them all.
             let few = &points[i % n_samples * n_first..][..n_first];
             Ok((!deadline.is_over()).then(|| {
-                let pose = descent::to_points(few, grid, start(i), freedom, FIRST.times(unit_m));
+                let pose = descent::to_points(few, grid, start(i), motion, FIRST.times(unit_m));
                 let cost = descent::truncated_cost(few, grid, &pose, FIRST_TRUNCATION * unit_m);
                 Scored { cost, pose }
             }))
@@ -144,7 +144,7 @@ impl<'a> Explorer<'a> {
         let second = parallel::map(shortlist.len(), |i| {
             (!deadline.is_over()).then(|| {
                 let (start, truncation) = (shortlist[i].pose, SECOND.times(unit_m));
-                let pose = descent::to_points(some_moving, grid, start, freedom, truncation);
+                let pose = descent::to_points(some_moving, grid, start, motion, truncation);
                 let forth = 1.0 - self.found_share(some_moving, &pose, some_moving.len());
                 let back = 1.0 - self.found_share_back(some_fixed, &pose, some_moving.len());
                 Scored {

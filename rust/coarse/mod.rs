@@ -9,7 +9,9 @@
 mod descent;
 mod echoes;
 mod explore;
+mod facing;
 mod hypotheses;
+mod motion;
 mod options;
 mod paper;
 mod robust;

@@ -9,7 +9,9 @@
 use std::ops::ControlFlow;
 
 use super::explore::{Descents, Explorer};
+use super::facing::most_faced;
 use super::hypotheses;
+use super::motion::{Motion, Uprights};
 use super::starts::{self, Starts};
 use super::verify::{Knowledge, Verifier};
 use super::{Candidate, CoarseResult, RobustSearchOptions};
@@ -20,9 +22,11 @@ use crate::fitness::{Agreement, Witnesses};
 use crate::freedom::Freedom;
 use crate::neighbors::some_through_tree;
 use crate::observations::LocalObservations;
+use crate::parallel;
 use crate::progress::Progress;
 use crate::random::Stream;
 use crate::rigid::Rigid;
+use crate::surface_cloud::SurfaceCloud;
 
 /// Witnesses of the smaller cloud, and how far, as a share of the unit, each looks round.
 pub(crate) const N_WITNESSES: usize = 3000;
@@ -102,6 +106,8 @@ enum Round {
     /// As though up were up in both clouds, as it is in nearly all surveys: so many rotations would be as
     /// dense where more is free.
     Upright { n_rotations: usize },
+    /// As though what most surface of each cloud faces were up, in one of them perhaps down.
+    Level { n_rotations: usize },
 }
 
 impl Round {
@@ -121,6 +127,7 @@ fn rounds(options: &RobustSearchOptions, freedom: Freedom, n_places: usize) -> V
     let is_levelled = freedom == Freedom::Levelled;
     if let (Some(&n_rotations), false) = (options.rotations_per_round.get(1), is_levelled) {
         rounds.insert(1, Round::Upright { n_rotations });
+        rounds.insert(2, Round::Level { n_rotations });
     }
     // It may spare a long search, not a short one.
     if let [n_rotations, _, ..] = options.rotations_per_round[..] {
@@ -136,6 +143,30 @@ fn rounds(options: &RobustSearchOptions, freedom: Freedom, n_places: usize) -> V
         rounds.insert(at, Round::Descriptors);
     }
     rounds
+}
+
+/// Frames in which what most surface of each cloud faces is up, and those in which it is down in one of them. None
+/// where that is up as given in both, or cannot be told.
+fn level_ways(
+    moving: &SurfaceCloud,
+    fixed: &SurfaceCloud,
+    unit_m: f64,
+    progress: &Progress<'_>,
+) -> Result<Vec<Uprights>> {
+    /// Within 3° of z.
+    const UP: f64 = 0.9986;
+    let (of_moving, of_fixed) = parallel::both(
+        || most_faced(moving, unit_m, progress),
+        || most_faced(fixed, unit_m, progress),
+    );
+    let (Some(of_moving), Some(of_fixed)) = (of_moving?, of_fixed?) else {
+        return Ok(Vec::new());
+    };
+    if of_moving[2].abs().min(of_fixed[2].abs()) > UP {
+        return Ok(Vec::new());
+    }
+    let ways = [of_moving, of_moving.map(|v| -v)];
+    Ok(ways.map(|up| Uprights::new(&up, &of_fixed)).to_vec())
 }
 
 /// Two clouds whose pose is sought. Both should be voxel-uniform, with the same voxel.
@@ -198,10 +229,11 @@ pub(crate) fn search_asking(
         (problem.target, problem.source)
     };
     let explorer = Explorer::new(&moving.cloud, &fixed.cloud, unit_m)?;
+    let free = Motion::Free(problem.freedom);
     let (brief, few, many) = (
-        Descents::of_fewest(problem.freedom),
-        Descents::of_few(problem.freedom),
-        Descents::of_many(problem.freedom),
+        Descents::of_fewest(free),
+        Descents::of_few(free),
+        Descents::of_many(free),
     );
     let mut verifier = Verifier::new(
         moving,
@@ -240,7 +272,7 @@ pub(crate) fn search_asking(
         n_explored += n_poses;
         basins.truncate(options.n_verified);
         let poses = [known.clone(), basins].concat();
-        verifier.look_at(&poses, known.len(), problem.freedom, deadline, progress)?;
+        verifier.look_at(&poses, known.len(), free, deadline, progress)?;
         stands_out = verifier.stands_out(enough, n_early, deadline, progress)?;
     }
     let mut run_down = |starts: &Starts, descents: Descents, n_taken: usize| {
@@ -267,10 +299,17 @@ pub(crate) fn search_asking(
         }
         n_rounds += 1;
         has_met_rivals |= round.is_wide() || i + 1 == rounds.len();
+        let mut upright = |uprights: &Uprights, n_rotations: usize, purpose: &'static str| {
+            let starts =
+                Starts::upright(&fixed.cloud, unit_m, uprights, n_rotations, purpose, seed);
+            let motion = Motion::Upright(*uprights);
+            let found = run_down(&starts, Descents::of_many(motion), options.n_verified)?;
+            Ok::<_, Error>((motion, found))
+        };
         let found = match *round {
             Round::Brief { n_rotations } => {
                 let starts = Starts::few(&fixed.cloud, unit_m, problem.freedom, n_rotations, seed);
-                run_down(&starts, brief, n_early.div_ceil(2))?
+                vec![(free, run_down(&starts, brief, n_early.div_ceil(2))?)]
             }
             Round::Starts { index, n_rotations } => {
                 let which = (index, n_rotations);
@@ -279,12 +318,21 @@ pub(crate) fn search_asking(
                     true => (many, options.n_verified),
                     false => (few, n_early),
                 };
-                run_down(&starts, descents, n_taken)?
+                vec![(free, run_down(&starts, descents, n_taken)?)]
             }
             Round::Upright { n_rotations } => {
-                let starts = Starts::upright(&fixed.cloud, unit_m, n_rotations, seed);
-                let descents = Descents::of_many(Freedom::Levelled);
-                run_down(&starts, descents, options.n_verified)?
+                vec![upright(
+                    &Uprights::as_given(),
+                    n_rotations,
+                    "jitter of upright",
+                )?]
+            }
+            Round::Level { n_rotations } => {
+                let ways = level_ways(&moving.cloud, &fixed.cloud, unit_m, progress)?;
+                let purposes = ["jitter of level", "jitter of level upside down"];
+                let both = ways.iter().zip(purposes);
+                both.map(|(uprights, purpose)| upright(uprights, n_rotations, purpose))
+                    .collect::<Result<_>>()?
             }
             Round::Descriptors => {
                 let (moving, fixed) = (&moving.cloud, &fixed.cloud);
@@ -295,16 +343,15 @@ pub(crate) fn search_asking(
                     0 => options.n_verified,
                     _ => 2 * n_early,
                 };
-                proposed.iter().take(n_taken).map(|h| h.pose).collect()
+                let poses = proposed.iter().take(n_taken).map(|h| h.pose);
+                vec![(free, poses.collect())]
             }
         };
-        let n_certain = given.len();
-        let poses = [std::mem::take(&mut given), found].concat();
-        let freedom = match round {
-            Round::Upright { .. } => Freedom::Levelled,
-            Round::Brief { .. } | Round::Starts { .. } | Round::Descriptors => problem.freedom,
-        };
-        verifier.look_at(&poses, n_certain, freedom, deadline, progress)?;
+        for (motion, poses) in found {
+            let n_certain = given.len();
+            let poses = [std::mem::take(&mut given), poses].concat();
+            verifier.look_at(&poses, n_certain, motion, deadline, progress)?;
+        }
         if has_met_rivals {
             stands_out = verifier.stands_out(enough, n_early, deadline, progress)?;
             continue;
@@ -314,7 +361,7 @@ pub(crate) fn search_asking(
         if let Some(best) = verifier.standing_out(wanted) {
             let starts = Starts::turned(&best, unit_m, problem.freedom, seed);
             let turned = run_down(&starts, brief, n_early)?;
-            verifier.look_at(&turned, 0, problem.freedom, deadline, progress)?;
+            verifier.look_at(&turned, 0, free, deadline, progress)?;
             stands_out = verifier.stands_out(wanted, n_early, deadline, progress)?;
         }
     }
@@ -361,7 +408,6 @@ pub(crate) fn search_asking(
 mod tests {
     use super::*;
     use crate::cloud::{Cloud, Point};
-    use crate::surface_cloud::SurfaceCloud;
 
     /// A bumpy strip, 1 wide.
     fn strip(length: f64, n: usize) -> SurfaceCloud {
@@ -439,14 +485,15 @@ mod tests {
                     Round::Starts { .. } if round.is_wide() => "wide",
                     Round::Starts { .. } => "starts",
                     Round::Upright { .. } => "upright",
+                    Round::Level { .. } => "level",
                     Round::Descriptors => "descriptors",
                 })
                 .collect()
         };
-        let of_all = ["brief", "starts", "upright", "descriptors", "wide"];
+        let of_all = ["brief", "starts", "upright", "level", "descriptors", "wide"];
         assert_eq!(kinds(Freedom::Rigid, 30), of_all);
         assert_eq!(kinds(Freedom::Similarity, 30), of_all);
-        let among_many = ["descriptors", "brief", "starts", "upright", "wide"];
+        let among_many = ["descriptors", "brief", "starts", "upright", "level", "wide"];
         assert_eq!(kinds(Freedom::Rigid, 300), among_many);
         let levelled = ["brief", "starts", "wide", "descriptors"];
         assert_eq!(kinds(Freedom::Levelled, 30), levelled);

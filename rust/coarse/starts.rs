@@ -4,6 +4,7 @@ use std::f64::consts::{SQRT_2, TAU};
 
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion};
 
+use super::motion::Uprights;
 use crate::cloud::{Point, distance_sq};
 use crate::freedom::Freedom;
 use crate::random::Stream;
@@ -84,17 +85,26 @@ impl Starts {
         }
     }
 
-    /// Yaws about the vertical of both clouds, as dense as `n_rotations` are where all is free.
+    /// Turns that leave up up, as dense as `n_rotations` are where all is free. No two calls in one search share a
+    /// `purpose`.
     pub(super) fn upright(
         fixed: &SurfaceCloud,
         unit_m: f64,
+        uprights: &Uprights,
         n_rotations: usize,
+        purpose: &'static str,
         seed: u64,
     ) -> Self {
         let which = (0, n_rotations);
+        let yaws = Self::new(fixed, unit_m, Freedom::Levelled, which, seed);
         Self {
-            purpose: "jitter of upright",
-            ..Self::new(fixed, unit_m, Freedom::Levelled, which, seed)
+            rotations: yaws
+                .rotations
+                .iter()
+                .map(|yaw| uprights.rotation(yaw))
+                .collect(),
+            purpose,
+            ..yaws
         }
     }
 
@@ -312,7 +322,8 @@ mod tests {
             .collect();
         let bowl = Cloud::new(&bowl).unwrap();
         let bowl = SurfaceCloud::new(&bowl, 0, &Progress::silent()).unwrap();
-        let starts = Starts::upright(&bowl, 10.0, 240, 1);
+        let as_given = Uprights::as_given();
+        let starts = Starts::upright(&bowl, 10.0, &as_given, 240, "jitter of upright", 1);
         let poses: Vec<Rigid> = (0..starts.len()).map(|i| starts.pose(i)).collect();
         assert!(
             poses

@@ -2,6 +2,7 @@
 
 use super::descent::{self, Fixed, Shrinking};
 use super::echoes::echoes;
+use super::motion::Motion;
 use super::robust::StandingOut;
 use super::{differ, starts, without_points};
 use crate::cloud::Point;
@@ -170,27 +171,27 @@ impl<'a> Verifier<'a> {
         })
     }
 
-    /// Refines `poses` in what `freedom` leaves free, scores each, and brings the leaders of all poses so far
+    /// Refines `poses` by what `motion` lets, scores each, and brings the leaders of all poses so far
     /// to rest, in all that is free. The first `n_certain` are looked at even when the deadline is over.
     pub(super) fn look_at(
         &mut self,
         poses: &[Rigid],
         n_certain: usize,
-        freedom: Freedom,
+        motion: Motion,
         deadline: Deadline,
         progress: &Progress<'_>,
     ) -> Result<()> {
-        let is_bound = freedom != self.freedom;
+        let is_bound = motion != self.motion();
         let refined = parallel::map(poses.len(), |i| {
             progress.check()?;
             if i >= n_certain && deadline.is_over() {
                 return Ok(None);
             }
-            let (refined, n_made) = self.refined(&poses[i], freedom);
+            let (refined, n_made) = self.refined(&poses[i], motion);
             // Where noise is as large as a voxel, wrong poses that are free score more than a right one that is not, until
             // it is at rest.
             let looked_at = match is_bound {
-                true => self.at_rest_once_bound(refined, freedom),
+                true => self.at_rest_once_bound(refined, motion),
                 false => self.scored(refined, false),
             };
             Ok(Some(looked_at.after(n_made)))
@@ -232,7 +233,7 @@ impl<'a> Verifier<'a> {
         };
         let echoes = echoes(self.moving, self.fixed, &best, self.unit_m, max_echoes);
         if !echoes.is_empty() {
-            self.look_at(&echoes, 0, self.freedom, deadline, progress)?;
+            self.look_at(&echoes, 0, self.motion(), deadline, progress)?;
         }
         Ok(self.standing_out(wanted).is_some())
     }
@@ -245,15 +246,19 @@ impl<'a> Verifier<'a> {
             .then_some(best.pose.rigid)
     }
 
+    fn motion(&self) -> Motion {
+        Motion::Free(self.freedom)
+    }
+
     fn best_score_so_far(&self) -> f64 {
         self.history.last().copied().unwrap_or(0.0)
     }
 
     /// A pose refined as far as ranking needs, and how many steps that took.
-    fn refined(&self, start: &Rigid, freedom: Freedom) -> (Similarity, usize) {
+    fn refined(&self, start: &Rigid, motion: Motion) -> (Similarity, usize) {
         let (points, grid, unit_m) = (&self.points, self.fixed_grid, self.unit_m);
-        let pose = descent::to_points(points, grid, *start, freedom, REFINE_POINTS.times(unit_m));
-        let (pose, n_made) = self.to_planes(pose.into(), None, freedom, REFINE_PLANES);
+        let pose = descent::to_points(points, grid, *start, motion, REFINE_POINTS.times(unit_m));
+        let (pose, n_made) = self.to_planes(pose.into(), None, motion, REFINE_PLANES);
         (pose, REFINE_POINTS.n_steps + n_made)
     }
 
@@ -261,7 +266,7 @@ impl<'a> Verifier<'a> {
         &self,
         start: Similarity,
         field: Option<&NearField>,
-        freedom: Freedom,
+        motion: Motion,
         truncation: Shrinking,
     ) -> (Similarity, usize) {
         let fixed = Fixed {
@@ -274,7 +279,7 @@ impl<'a> Verifier<'a> {
             &self.surfaces,
             fixed,
             start,
-            freedom,
+            motion,
             truncation.times(self.unit_m),
         )
     }
@@ -294,7 +299,7 @@ impl<'a> Verifier<'a> {
             }
             let finished = parallel::map(leaders.len(), |i| {
                 progress.check()?;
-                Ok(self.at_rest(leaders[i], self.freedom))
+                Ok(self.at_rest(leaders[i], self.motion()))
             });
             let finished = finished.into_iter().collect::<Result<Vec<_>>>()?;
             self.n_evaluations += finished.iter().map(|v| v.n_compared).sum::<usize>();
@@ -306,15 +311,15 @@ impl<'a> Verifier<'a> {
         Ok(())
     }
 
-    fn at_rest(&self, pose: Similarity, freedom: Freedom) -> Verified {
-        let (pose, n_made) = self.to_planes(pose, Some(&self.fixed_field), freedom, FINISH);
+    fn at_rest(&self, pose: Similarity, motion: Motion) -> Verified {
+        let (pose, n_made) = self.to_planes(pose, Some(&self.fixed_field), motion, FINISH);
         self.scored(pose, true).after(n_made)
     }
 
-    /// First in what `freedom` leaves free, then in all that is, unless that draws it off.
-    fn at_rest_once_bound(&self, pose: Similarity, freedom: Freedom) -> Verified {
-        let bound = self.at_rest(pose, freedom);
-        let free = self.at_rest(bound.pose, self.freedom);
+    /// First by what `motion` lets, then by all that is free, unless that draws it off.
+    fn at_rest_once_bound(&self, pose: Similarity, motion: Motion) -> Verified {
+        let bound = self.at_rest(pose, motion);
+        let free = self.at_rest(bound.pose, self.motion());
         match free.agreement.score() < bound.agreement.score() {
             true => bound.after(free.n_compared),
             false => free.after(bound.n_compared),
@@ -415,7 +420,7 @@ impl<'a> Verifier<'a> {
             .map(|_| starts::random_pose(self.fixed.cloud.points(), self.freedom, &mut stream))
             .collect();
         let refined = parallel::map(poses.len(), |i| {
-            let (refined, _) = self.refined(&poses[i], self.freedom);
+            let (refined, _) = self.refined(&poses[i], self.motion());
             self.scored(refined, false)
         });
         let is_other = |v: &&Verified| {
@@ -476,7 +481,9 @@ mod tests {
         // One that is nearly right is refined to the right one.
         let near = Rigid::from_euler([0.01, 0.0, 0.02], [0.01, 0.0, 0.01]) * right;
         let never = Deadline::after(None);
-        verifier.look_at(&[near], 1, free, never, &silent).unwrap();
+        verifier
+            .look_at(&[near], 1, Motion::Free(free), never, &silent)
+            .unwrap();
         assert!((scale_of_best(&verifier) - 1.0).abs() < 0.01);
         let best = verifier.best().unwrap().pose.rigid;
         assert!((best.translation - right.translation).norm() < 0.01);
