@@ -97,7 +97,8 @@ class RobustSearchOptions:
     ----------
     rotations_per_round : tuple of int, optional
         Rotations tried in each round; a further round is begun only while no pose stands out. Before several
-        rounds there is a brief one, of the first one's rotations at a quarter of its places.
+        rounds there is a brief one, of the first one's rotations at a quarter of its places, and between them
+        are those of yaws alone, as dense as the second one's rotations, with both clouds upright or level.
     n_verified : int, optional
         Poses of each round that are refined and verified, at least 1.
     descriptors : bool, optional

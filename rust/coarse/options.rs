@@ -10,7 +10,8 @@ use crate::error::{Result, require_count, require_positive};
 pub struct RobustSearchOptions {
     /// Rotations of each round; the next round is only begun while the best pose does not stand
     /// out. At least one round of at least one rotation; places lie closer together from the third on. Before
-    /// several rounds there is a brief one, of the first one's rotations at a quarter of its places.
+    /// several rounds there is a brief one, of the first one's rotations at a quarter of its places, and between
+    /// them are those of yaws alone, as dense as the second one's rotations, with both clouds upright or level.
     pub rotations_per_round: Vec<usize>,
     /// Poses of each round that are refined and verified; at least 1.
     pub n_verified: usize,

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import tmchho
 from tmchho import Config, ControlPoint, PosePrior, errors
 from tmchho.config import config_json
-from tmchho.simulate import make_pair
+from tmchho.simulate import SimulatedPair, make_pair
 
 SIDES = np.array([20.0, 12.0, 6.0])
 
@@ -62,25 +62,45 @@ def test_a_tilted_source_is_not_accepted_as_levelled(clouds: tuple[Floats, Float
     assert tmchho.register(source, clouds[1], dof=4, config=QUICK).verdict != "accepted"
 
 
-def test_sparse_noisy_photogrammetry_of_many_times_the_area_is_found_without_being_told_what_is_up() -> None:
-    # It has fewer points than the scan, which has to find its place in it all the same.
-    made = make_pair(
+def sparse_and_noisy(area_ratio: float, overlap: float, **settings: Any) -> SimulatedPair:
+    """Return photogrammetry of fewer points than the scan, with a voxel of noise, a third of both strays."""
+    return make_pair(
         size_m=120.0,
-        area_ratio=16.0,
-        overlap=0.8,
+        area_ratio=area_ratio,
+        overlap=overlap,
         density_ratio=50.0,
         n_scanner_points=100_000,
         photogrammetry_noise_m=0.75,
         photogrammetry_outlier_share=0.3,
         scanner_outlier_share=0.3,
-        pose="identity",
         national_grid=False,
         seed=0,
+        **settings,
     )
+
+
+def displacement_m(found: tmchho.Registration, made: SimulatedPair, truth: Floats) -> float:
+    """Return how far the scan lies from where it belongs, root mean squared."""
+    there = moved(found.transformation @ np.linalg.inv(truth), made.target.xyz)
+    return float(np.sqrt(np.mean(np.sum((there - made.target.xyz) ** 2, axis=1))))
+
+
+def test_sparse_noisy_photogrammetry_of_many_times_the_area_is_found_without_being_told_what_is_up() -> None:
+    # The scan, of more points, has to find its place in it all the same.
+    made = sparse_and_noisy(16.0, 0.8, pose="identity")
     found = tmchho.register(moved(np.linalg.inv(levelled()), made.source.xyz), made.target.xyz, dof=6)
-    there = moved(found.transformation @ np.linalg.inv(levelled()), made.target.xyz)
-    displacement = np.sqrt(np.mean(np.sum((there - made.target.xyz) ** 2, axis=1)))
-    assert displacement < 2 * found.voxel_size
+    assert displacement_m(found, made, levelled()) < 2 * found.voxel_size
+    assert found.verdict != "rejected"
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_it_is_found_turned_anywhere_too_as_its_ground_tells_what_is_up(seed: int) -> None:
+    made = sparse_and_noisy(4.0, 0.6)
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.random(random_state=seed).as_matrix()
+    found = tmchho.register(moved(turn, made.source.xyz), made.target.xyz, seed=seed)
+    truth = made.target_from_source @ np.linalg.inv(turn)
+    assert displacement_m(found, made, truth) < 2 * found.voxel_size
     assert found.verdict != "rejected"
 
 
