@@ -238,6 +238,36 @@ mod tests {
     }
 
     #[test]
+    fn a_turn_about_any_axis_after_any_other_is_found_and_leaves_the_rest() {
+        let axis = Vector3::new(0.48, -0.64, 0.6);
+        let first = Rigid::from_euler([0.4, -1.0, 2.0], [0.0; 3]).rotation;
+        let mut stream = Stream::new(1, "axis", 0);
+        for angle in [0.0, 1.0, -2.5] {
+            let turn = Rigid::from_rotation_vector(axis * angle, Vector3::zeros()).rotation;
+            let (rotation, translation) = (turn * first, Vector3::new(5.0, -6.0, 7.0));
+            let pose = Rigid {
+                rotation,
+                translation,
+            };
+            let (mut exact, mut noisy) = (PairSums::default(), PairSums::default());
+            for _ in 0..20 {
+                let p = [0; 3].map(|_| stream.normal());
+                let q = pose.apply(&p);
+                exact.add(&p, &q, 1.0);
+                noisy.add(&p, &q.map(|v| v + 0.3 * stream.normal()), 1.0);
+            }
+            let found = exact.solve_about(&axis, &first).unwrap();
+            assert!((found.rotation - rotation).amax() < 1e-12);
+            assert!((found.translation - translation).amax() < 1e-12);
+            // What it may not turn about stays, also where the pairs would have it turn.
+            let found = noisy.solve_about(&axis, &first).unwrap().rotation;
+            assert!((found * first.transpose() * axis - axis).amax() < 1e-12);
+            let free = noisy.solve().unwrap().rotation;
+            assert!((free * first.transpose() * axis - axis).amax() > 1e-3);
+        }
+    }
+
+    #[test]
     fn two_pairs_by_hand() {
         // From the x axis onto the y axis, shifted by one: a quarter turn about z.
         let found = fit(

@@ -391,6 +391,28 @@ mod tests {
     }
 
     #[test]
+    fn a_step_about_any_axis_is_the_levelled_one_seen_from_elsewhere() {
+        let tilt = Rigid::from_euler([0.7, -0.4, 1.3], [0.0; 3]);
+        let mut stream = Stream::new(1, "axis", 0);
+        let (mut upright, mut tilted) = (PlaneSums::default(), PlaneSums::default());
+        for _ in 0..30 {
+            let p = [0; 3].map(|_| stream.normal());
+            let q = p.map(|v| v + 0.05 * stream.normal());
+            let normal = Vector3::from([0; 3].map(|_| stream.normal()))
+                .normalize()
+                .into();
+            upright.add(&p, &q, &normal, 1.0);
+            tilted.add(&tilt.apply(&p), &tilt.apply(&q), &tilt.rotate(&normal), 1.0);
+        }
+        let expected = tilt * upright.solve_levelled().unwrap() * tilt.inverse();
+        let axis = tilt.rotation.column(2).into_owned();
+        let found = tilted.solve_about(&axis).unwrap();
+        assert!((found.rotation - expected.rotation).amax() < 1e-12);
+        assert!((found.translation - expected.translation).amax() < 1e-12);
+        assert!((found.rotation * axis - axis).amax() < 1e-12);
+    }
+
+    #[test]
     fn a_step_with_a_scale_finds_all_seven() {
         let motion = Similarity {
             scale: 1.0003,
