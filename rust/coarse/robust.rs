@@ -126,8 +126,9 @@ fn rounds(options: &RobustSearchOptions, freedom: Freedom, n_places: usize) -> V
         .collect();
     let is_levelled = freedom == Freedom::Levelled;
     if let (Some(&n_rotations), false) = (options.rotations_per_round.get(1), is_levelled) {
-        rounds.insert(1, Round::Upright { n_rotations });
-        rounds.insert(2, Round::Level { n_rotations });
+        // No poses where that is up as given.
+        rounds.insert(1, Round::Level { n_rotations });
+        rounds.insert(2, Round::Upright { n_rotations });
     }
     // It may spare a long search, not a short one.
     if let [n_rotations, _, ..] = options.rotations_per_round[..] {
@@ -490,10 +491,10 @@ mod tests {
                 })
                 .collect()
         };
-        let of_all = ["brief", "starts", "upright", "level", "descriptors", "wide"];
+        let of_all = ["brief", "starts", "level", "upright", "descriptors", "wide"];
         assert_eq!(kinds(Freedom::Rigid, 30), of_all);
         assert_eq!(kinds(Freedom::Similarity, 30), of_all);
-        let among_many = ["descriptors", "brief", "starts", "upright", "level", "wide"];
+        let among_many = ["descriptors", "brief", "starts", "level", "upright", "wide"];
         assert_eq!(kinds(Freedom::Rigid, 300), among_many);
         let levelled = ["brief", "starts", "wide", "descriptors"];
         assert_eq!(kinds(Freedom::Levelled, 30), levelled);
